@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
     from app.errors import InputError, Interrupted, RunError
     from app.evaluation.frames import SimulatedFrames, simulate
-    from app.measurement.bench_reconstructor import BenchReconstructor, find_lattice, reconstructor, refine
     from app.measurement.measurement import Measurement
+    from app.measurement.offline_reconstructor import OfflineReconstructor, find_lattice, reconstructor, refine
     from app.results.coefficients import field_coefficients
     from app.results.corrector import find_corrector
     from app.results.deconvolution import deconvolve
@@ -45,15 +45,15 @@ if TYPE_CHECKING:
         Unsupported,
         WrongState,
     )
-    from reconstruction.displacement import Displacement, Outcome
+    from reconstruction.displacement import Displacement, LensletStatus
     from reconstruction.errors import ReconstructionError
     from reconstruction.geometry import Lattice
     from reconstruction.wavefront import Wavefront
 
 __all__ = ["connect", "deconvolve", "field_coefficients", "find_corrector", "find_lattice", "find_layers", "live"]
 __all__ += ["load_bench", "open_recording", "open_result", "psf", "reconstructor", "refine", "save_result", "simulate"]
-__all__ += ["Bench", "BenchReconstructor", "ConnectedBench", "Displacement", "Lattice", "LiveBench", "to_dataset"]
-__all__ += ["Measurement", "OpenedRecording", "Outcome", "SimulatedFrames", "Wavefront"]
+__all__ += ["Bench", "ConnectedBench", "Displacement", "Lattice", "LiveBench", "OfflineReconstructor", "to_dataset"]
+__all__ += ["LensletStatus", "Measurement", "OpenedRecording", "SimulatedFrames", "Wavefront"]
 __all__ += ["BadValue", "Busy", "DeviceError", "DeviceTimeout", "Disconnected", "FrameLost", "InputError"]
 __all__ += ["Interrupted", "ReconstructionError", "RunError", "Unsupported", "WrongState"]
 
@@ -88,7 +88,7 @@ _ELSEWHERE = {
     "app.cli.window": "main_window",
     "app.errors": "InputError Interrupted RunError",
     "app.evaluation.frames": "SimulatedFrames simulate",
-    "app.measurement.bench_reconstructor": "BenchReconstructor find_lattice reconstructor refine",
+    "app.measurement.offline_reconstructor": "OfflineReconstructor find_lattice reconstructor refine",
     "app.measurement.measurement": "Measurement",
     "app.results.coefficients": "field_coefficients",
     "app.results.corrector": "find_corrector",

@@ -16,10 +16,10 @@ from reconstruction.runtime.deferred import Deferred
 # correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
 SYSTEMATIC_PX = 0.0025
 
-Outcomes = NDArray[np.int8]  # an `Outcome` for every lenslet
+LensletStatuses = NDArray[np.int8]  # an `LensletStatus` for every lenslet
 
 
-class Outcome(IntEnum):
+class LensletStatus(IntEnum):
     """Result of the registration of a lenslet; only CONVERGED yields a slope."""
 
     CONVERGED = 0
@@ -37,13 +37,13 @@ class Outcome(IntEnum):
 
 
 _REASONS = {
-    Outcome.CONVERGED: "",
-    Outcome.DARK: "no light",
-    Outcome.SATURATED: "saturated",
-    Outcome.DIVERGED: "no match with the reference",
-    Outcome.LEFT_CELL: "left its cell",
-    Outcome.OFF_CAMERA: "not fully on the camera",
-    Outcome.EXCLUDED: "excluded by hand",
+    LensletStatus.CONVERGED: "",
+    LensletStatus.DARK: "no light",
+    LensletStatus.SATURATED: "saturated",
+    LensletStatus.DIVERGED: "no match with the reference",
+    LensletStatus.LEFT_CELL: "left its cell",
+    LensletStatus.OFF_CAMERA: "not fully on the camera",
+    LensletStatus.EXCLUDED: "excluded by hand",
 }
 
 
@@ -89,7 +89,7 @@ class Displacement:
     modes: FieldModes  # T_q
     coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
     covariance_source: Floats | CovarianceSource  # `covariance`, or what computes it
-    outcome: Outcomes  # (lenslet_row, lenslet_column)
+    outcome: LensletStatuses  # (lenslet_row, lenslet_column)
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
@@ -110,7 +110,7 @@ class Displacement:
     @cached_property
     def valid(self) -> Booleans:
         """True for converged lenslets, (lenslet_row, lenslet_column); read-only."""
-        valid = np.asarray(self.outcome == Outcome.CONVERGED)
+        valid = np.asarray(self.outcome == LensletStatus.CONVERGED)
         valid.flags.writeable = False
         return valid
 
@@ -133,7 +133,9 @@ class Displacement:
     @property
     def summary(self) -> list[str]:
         """Number of lenslets lost for each reason, and the share of the dynamic range that is used, in words."""
-        counts = [(np.count_nonzero(self.outcome == outcome), outcome.reason) for outcome in Outcome if outcome.reason]
+        counts = [
+            (np.count_nonzero(self.outcome == outcome), outcome.reason) for outcome in LensletStatus if outcome.reason
+        ]
         used = f"{100 * np.nanmax(self.range_used, initial=0.0):.0f} % of the dynamic range used"
         return [*(f"{count} lost: {why}" for count, why in counts if count), used]
 

@@ -19,7 +19,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.pupil_modes import PupilGrid, PupilModes
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.deferred import Remembered
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution

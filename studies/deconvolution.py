@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from app.bench.config import Bench
 from app.evaluation.frames import NoiseFreeFrames, seeded, simulate, with_screen
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.offline_reconstructor import OfflineReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.deconvolution.corrected_image import PhaseAt, corrected_image, psf_reach_px
 from reconstruction.deconvolution.imaging import Imaging
@@ -65,7 +65,7 @@ class _Photographs:
     def __init__(self, bench: Bench) -> None:
         self._bench, self._sample = bench, NoiseFreeFrames(bench).sample
         frames = simulate(bench)
-        self._measured = BenchReconstructor(bench, frames.reference, dark=frames.dark)(frames.frames[0])
+        self._measured = OfflineReconstructor(bench, frames.reference, dark=frames.dark)(frames.frames[0])
         unit = Imaging(pixel_m=1e-6, counts_per_electron=1.0)
         pixel_m = unit.pixel_m * unit.blur_px(bench.sensor, bench.field) / _RESOLUTION_PX
         self._imaging = replace(unit, pixel_m=pixel_m)

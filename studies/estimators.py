@@ -14,12 +14,12 @@ from app.evaluation.frames import exposure_of
 from app.evaluation.mask_accuracy import calibration_of, mean_deviation_rad
 from app.measurement.estimator import ROUNDS, Estimator
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import Exposures
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import ReconstructionSettings, Warp
 from reconstruction.wavefront import Wavefront, mean_rms, without_piston
 from simulated_devices.detector import Detector
@@ -109,7 +109,7 @@ def residual(
 def row(wavefront: Wavefront, rms_rad: float, *, curve: str, at: float | str, **more: Any) -> Row:
     """Return an RMS with the counts of lost lenslets of a wavefront."""
     outcome = wavefront.displacement.outcome
-    lost, left_cell = np.sum(outcome != Outcome.CONVERGED), np.sum(outcome == Outcome.LEFT_CELL)
+    lost, left_cell = np.sum(outcome != LensletStatus.CONVERGED), np.sum(outcome == LensletStatus.LEFT_CELL)
     return {"curve": curve, "at": at, "rms_rad": rms_rad, "lost": lost, "left_cell": left_cell, **more}
 
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from app.measurement.auto_exposure import FILL, MOST_FRAMES, TOLERANCE, auto_expose
-from app.measurement.routines import UNWATCHED, RoutineError
+from app.measurement.routines import NO_CALLBACKS, RoutineError
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from simulated_devices.settings import exposure_range_s
@@ -74,7 +74,7 @@ def exposure(asked: Asked, cameras: Sequence[TriedCamera] = CAMERAS, images: Map
             devices, instrument, lamp = exposure_bench(scene, exposure_s=first_s, current_a=current_a)
             problem, fill, frames = "", math.nan, math.nan
             try:
-                fill = auto_expose(devices, PITCH_PX, UNWATCHED).fill
+                fill = auto_expose(devices, PITCH_PX, NO_CALLBACKS).fill
                 frames = len(instrument.exposed_s)
             except RoutineError as error:
                 problem = f"{image}, {right_s:.3g} s wanted, from {first_s:.3g} s: {error}"

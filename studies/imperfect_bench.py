@@ -234,7 +234,7 @@ def _measured(bench: Bench, case: Case, images: tuple[Image, Image], truth: Floa
         return
     for curve, sample in samples.items():
         wavefront = estimator.reconstructor.solve(displacement, sample=sample)
-        flags = estimator.judge(frame, wavefront.displacement).faults.name
+        flags = estimator.quality_checker(frame, wavefront.displacement).faults.name
         yield {**residual(wavefront, truth, curve=curve, at=at), "flags": flags or ""}
         valid, sigma = wavefront.displacement.valid, wavefront.sigma()
         error = without_piston(np.where(valid, wavefront.views - truth, np.nan))

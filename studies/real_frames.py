@@ -17,7 +17,7 @@ from scipy import ndimage, spatial
 
 from app.bench.config import Bench, load_bench
 from app.images import read_image
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.offline_reconstructor import OfflineReconstructor
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Arrangement, Lattice
 from reconstruction.lattice.search import Survey, survey
@@ -187,7 +187,7 @@ def sky(folder: Path) -> None:
     bench = HECTO.bench()
     reference, frame = (read_image(folder / path).astype(np.float32) for path in (HECTO.path, SKY.path))
     blurred = np.asarray(ndimage.gaussian_filter(reference, _SEEING_PX))
-    reconstructor = BenchReconstructor(bench, blurred, full_scale=np.inf)
+    reconstructor = OfflineReconstructor(bench, blurred, full_scale=np.inf)
     wavefront = reconstructor(frame)
     lattice, sensor = reconstructor.bench.lattice, bench.sensor
     if lattice is None or wavefront.coefficients is None:

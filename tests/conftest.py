@@ -21,8 +21,8 @@ from support.paths import SMALL_TOML
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
-from app.measurement import live_solver
-from app.measurement.live_solver import Finder
+from app.measurement import background_estimator
+from app.measurement.background_estimator import BackgroundEstimator
 from simulated_devices.clock import ManualClock
 
 if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
@@ -89,8 +89,8 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
             yield
 
 
-class FinderHere(Finder):
-    """A finder with the interface of its process."""
+class BackgroundEstimatorHere(BackgroundEstimator):
+    """A background estimator with the interface of its process."""
 
     process = None
 
@@ -102,9 +102,9 @@ class FinderHere(Finder):
 
 
 @pytest.fixture(autouse=True)
-def _finders_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def _background_estimators_in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """Search for layers in this process: another takes a second to start, and its code cannot be replaced."""
-    monkeypatch.setattr(live_solver, "FinderProcess", FinderHere)
+    monkeypatch.setattr(background_estimator, "BackgroundEstimatorProcess", BackgroundEstimatorHere)
 
 
 @pytest.fixture(autouse=True)

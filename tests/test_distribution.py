@@ -38,10 +38,10 @@ import svwfs
 
 if __name__ == "__main__":
     import app, drivers.manual_light, simulated_devices
-    from app.acquisition.guarded_light import GuardedLight
+    from app.acquisition.watchdog_light import WatchdogLight
 
     try:
-        GuardedLight(drivers.manual_light.ManualLightSettings())
+        WatchdogLight(drivers.manual_light.ManualLightSettings())
     except svwfs.WrongState as error:  # from the other process: nobody has switched the light off
         assert "confirm" in str(error)
     print(svwfs.load_bench("small_demo").sensor.lenslet_rows)
@@ -54,7 +54,7 @@ import svwfs
 if __name__ == "__main__":
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.batch.workers import workers
-    from app.measurement.live_solver import FinderProcess
+    from app.measurement.background_estimator import BackgroundEstimatorProcess
 
     bench = svwfs.load_bench("small_demo")
     images = svwfs.simulate(bench)
@@ -64,9 +64,9 @@ if __name__ == "__main__":
     with workers(1, None) as evaluate:
         ((_, other),) = evaluate(reconstruct, images.frames)
     assert (one.views == other.views).all()
-    finder = FinderProcess(reconstruct._prepared())
-    finder.prepare()
-    finder.close()
+    background estimator = BackgroundEstimatorProcess(reconstruct._prepared())
+    background estimator.prepare()
+    background estimator.close()
     with OwnInstrument("beside") as own:
         connection = own.connect(bench)
         while connection.is_alive and not connection.is_reached:

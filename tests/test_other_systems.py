@@ -15,7 +15,7 @@ PACKAGES = ["app", "drivers", "reconstruction", "simulated_devices"]
 SOURCES = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
 MODULES = sorted({".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES})
 PATHS_OF_ONE_SYSTEM = {
-    "app/acquisition/guardian.py": {"/proc/"},
+    "app/acquisition/watchdog.py": {"/proc/"},
     "app/acquisition/remote/ring.py": {"/proc/"},
     "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
     "app/evaluation/benchmark/live_path.py": {"/proc/"},

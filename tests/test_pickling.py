@@ -12,13 +12,13 @@ import pytest
 
 import svwfs
 from app.evaluation.frames import SimulatedFrames
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.offline_reconstructor import OfflineReconstructor
 from reconstruction.wavefront import Wavefront
 
 METHODS = ["sample=automatic", "sample=free", "method=zonal", "pupil_modes=21"]
 
 
-def prepared(setting: str) -> tuple[BenchReconstructor, SimulatedFrames]:
+def prepared(setting: str) -> tuple[OfflineReconstructor, SimulatedFrames]:
     bench = svwfs.load_bench("small_demo", f"reconstruction.{setting}")
     images = svwfs.simulate(bench, frames=2)
     return svwfs.reconstructor(bench, images.reference, dark=images.dark), images

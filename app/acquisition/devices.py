@@ -4,13 +4,13 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from app.acquisition.guarded_light import GuardedLight
+from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, check_device
 from app.bench.device_kinds import DRIVERS, DeviceKind, DeviceSettings, RecordingSettings
 from app.cache import cache_folder
 from app.errors import InputError
+from app.recording.playback_devices import playback_devices
 from app.recording.reader import Recording
-from app.recording.recorded_devices import recorded_devices
 from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
 from drivers.stage import ManualStage
 from reconstruction.annotated_settings import SettingError
@@ -28,7 +28,7 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
         if isinstance(settings := bench.camera, RecordingSettings):
             recording = Recording(settings.folder)
             frames = recording.select(None)
-            devices = recorded_devices(recording, frames, pace=settings.pace, repeat=settings.repeat)
+            devices = playback_devices(recording, frames, pace=settings.pace, repeat=settings.repeat)
             _check_pitch(bench, stack.enter_context(devices).camera)
             stack.pop_all()
             return devices
@@ -75,9 +75,9 @@ def open_camera(settings: DeviceSettings) -> Camera:
 
 
 def open_light(settings: DeviceSettings) -> LightSource:
-    """Open a real light in a guardian, off and at the configured current; a manual one as it is."""
+    """Open a real light in a watchdog, off and at the configured current; a manual one as it is."""
     kind = _kind("light", settings)
-    light: LightSource = kind.open(settings) if kind.driver == "manual" else GuardedLight(settings)
+    light: LightSource = kind.open(settings) if kind.driver == "manual" else WatchdogLight(settings)
     current_a = getattr(settings, "current_a", None)
     if current_a is not None:
         try:

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, Self, TypeAlias
 
-from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.guardian import stat_of
-from app.acquisition.kept_averages import AverageState, KeptAverages
+from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
+from app.acquisition.watchdog import stat_of
+from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, changes_in_words, with_known
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import (
@@ -26,15 +26,15 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
+from app.measurement.background_estimator import LiveEstimator
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.estimator import Estimator, mask_sentence
 from app.measurement.linearity import measure_linearity
-from app.measurement.live_solver import LiveSolver
 from app.measurement.measurement import SKIPPED, Assumptions, Measurement
-from app.measurement.routines import UNWATCHED, Circumstances, RoutineError, Watch, restored
+from app.measurement.routines import NO_CALLBACKS, AcquisitionSettings, RoutineCallbacks, RoutineError, restored
 from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
 from app.progress import counted
-from app.recording.recorded_devices import RecordedLight
+from app.recording.playback_devices import RecordedLight
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
@@ -58,12 +58,12 @@ Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 class ProcessState:
     """A process of an instrument, by its name and id."""
 
-    name: Literal["instrument", "guardian", "finder"]
+    name: Literal["instrument", "watchdog", "background estimator"]
     pid: int
     condition: Condition
 
     @classmethod
-    def of(cls, name: Literal["guardian", "finder"], process: subprocess.Popen[bytes]) -> Self:
+    def of(cls, name: Literal["watchdog", "background estimator"], process: subprocess.Popen[bytes]) -> Self:
         """Look at a process that this one has started; only Linux tells that it was stopped."""
         is_gone, is_stopped = process.poll() is not None, stat_of(process.pid)[:1] in (["T"], ["t"])
         return cls(name, process.pid, "gone" if is_gone else "frozen" if is_stopped else "alive")
@@ -96,7 +96,7 @@ class Status:
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     mask_note: str = ""  # which deformations the mask hides; empty if it shows all
     is_calibrated: bool = False  # frames can be reconstructed
-    has_finder: bool = False  # of layers or a correction, which the first frames show
+    has_background_estimator: bool = False  # of layers or a correction, which the first frames show
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
@@ -126,17 +126,20 @@ class Instrument:
         *,
         timings: Timings | None = None,
         show_preparation: Callable[[str], object] = lambda _: None,
-        watch: Callable[[Instrument, str], Watch] = lambda _, __: UNWATCHED,
+        callbacks: Callable[[Instrument, str], RoutineCallbacks] = lambda _, __: NO_CALLBACKS,
     ) -> None:
         """`show_preparation` receives what is prepared for seconds, and why; `watch` each routine."""
-        self.devices, self._show_preparation, self._watch = devices, show_preparation, watch
+        self.devices, self._show_preparation, self._callbacks = devices, show_preparation, callbacks
         self._timings = timings or Timings()
         self.bench = bench  # with the current settings
-        self.darks, self.references = KeptAverages("dark", is_lit=False), KeptAverages("reference", is_lit=True)
+        self.darks, self.references = (
+            DarkReferenceStore("dark", is_lit=False),
+            DarkReferenceStore("reference", is_lit=True),
+        )
         self._modes: dict[tuple[str, int], tuple[float, float]] = {}  # exposure and gain by amplifier and speed
         self._lattice = bench.lattice
         self._estimator: Estimator | None = None  # None if frames cannot be reconstructed
-        self._solver: LiveSolver | None = None
+        self._solver: LiveEstimator | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
         self._is_of_settings = False  # whether they are the problem, and neither dark nor reference
@@ -149,11 +152,11 @@ class Instrument:
     def processes(self) -> tuple[ProcessState, ...]:
         """State of the processes that were started for it; any thread may ask, at any time."""
         light, solver = self.devices.light, self._solver
-        guardian = light.guardian if isinstance(light, GuardedLight) else None
-        finder = None if solver is None else solver.process
+        watchdog = light.watchdog if isinstance(light, WatchdogLight) else None
+        background_estimator = None if solver is None else solver.process
         return (
-            *([] if guardian is None else [ProcessState.of("guardian", guardian)]),
-            *([] if finder is None else [ProcessState.of("finder", finder)]),
+            *([] if watchdog is None else [ProcessState.of("watchdog", watchdog)]),
+            *([] if background_estimator is None else [ProcessState.of("background estimator", background_estimator)]),
         )
 
     def status(self) -> Status:
@@ -162,7 +165,7 @@ class Instrument:
         now, estimator = self._now(), self._estimator
         problem = self._problem if estimator is None else ""
         of_dark, of_reference = self.darks.doubt(now), self.references.doubt(now)
-        judged = Quality() if estimator is None else estimator.judge.of_reference
+        judged = Quality() if estimator is None else estimator.quality_checker.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         blamed = "" if self._is_of_settings else problem
         return Status(
@@ -189,7 +192,7 @@ class Instrument:
             warning=light.off_reason or problem or of_dark or of_reference or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,
-            has_finder=self._solver is not None and self._solver.has_finder,
+            has_background_estimator=self._solver is not None and self._solver.has_background_estimator,
             temperature_c=camera.temperature_c,
         )
 
@@ -214,14 +217,14 @@ class Instrument:
 
     def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
-        watch = self._watch(self, f"taking the dark, {counted(frames)}")
-        self.darks.keep(take_dark(self.devices, frames, watch), self._now())
+        callbacks = self._callbacks(self, f"taking the dark, {counted(frames)}")
+        self.darks.keep(take_dark(self.devices, frames, callbacks), self._now())
         self._prepare("with the new dark")
 
     def take_reference(self, frames: int) -> None:
         """Average frames without the sample into the reference, and find the lattice if unknown."""
-        watch = self._watch(self, f"taking the reference, {counted(frames)}")
-        self.references.keep(take_reference(self.devices, frames, watch), self._now())
+        callbacks = self._callbacks(self, f"taking the reference, {counted(frames)}")
+        self.references.keep(take_reference(self.devices, frames, callbacks), self._now())
         self._prepare("with the new reference; after an installation, its compilation takes half a minute")
 
     def use(self, calibration: Calibration) -> None:
@@ -233,29 +236,29 @@ class Instrument:
 
     def auto_expose(self) -> AutoExposure:
         """Find and set exposure and current for the light in the beam; `RoutineError` if there are none."""
-        return self._auto_expose(self._watch(self, "finding the exposure"))
+        return self._auto_expose(self._callbacks(self, "finding the exposure"))
 
     def expose_without_sample(self) -> AutoExposure:
         """Find and set exposure and current for frames without the sample, of which the reference is made."""
-        watch = self._watch(self, "finding the exposure without the sample")
+        callbacks = self._callbacks(self, "finding the exposure without the sample")
         with restored(self.devices) as state:
             self.devices.stage.set_sample_in(False)
-            found = self._auto_expose(watch)
+            found = self._auto_expose(callbacks)
             state.exposure_s, state.current_a = found.exposure_s, found.current_a
             return found
 
     def check_background(self) -> BackgroundCheck:
         """Compare the current background with the dark; `RoutineError` if there is no dark that fits."""
-        watch = self._watch(self, f"checking the background, {counted(_BACKGROUND_FRAMES)}")
+        callbacks = self._callbacks(self, f"checking the background, {counted(_BACKGROUND_FRAMES)}")
         doubt, dark = self.darks.doubt(self._now()), self.darks.average
         if dark is None or doubt:
             raise RoutineError(doubt)
-        return check_background(self.devices, dark, _BACKGROUND_FRAMES, watch)
+        return check_background(self.devices, dark, _BACKGROUND_FRAMES, callbacks)
 
     def find_lattice(self) -> Survey:
         """Find the lenslets in a few frames without the sample, without changing anything."""
-        watch = self._watch(self, "finding the lattice")
-        return self._survey(take_reference(self.devices, _LATTICE_FRAMES, watch))
+        callbacks = self._callbacks(self, "finding the lattice")
+        return self._survey(take_reference(self.devices, _LATTICE_FRAMES, callbacks))
 
     def survey_lattice(self) -> Survey:
         """Find the lenslets in the reference without changing anything."""
@@ -268,8 +271,8 @@ class Instrument:
 
     def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
         """Measure the camera's nonlinearity in exposures of `frames` frames, changing nothing."""
-        watch = self._watch(self, "measuring the camera's nonlinearity")
-        return measure_linearity(self.devices, self._pitch_px, frames, watch)
+        callbacks = self._callbacks(self, "measuring the camera's nonlinearity")
+        return measure_linearity(self.devices, self._pitch_px, frames, callbacks)
 
     def set_area(self, area: SensorArea) -> SensorArea:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
@@ -338,8 +341,8 @@ class Instrument:
             self._solver.close()
         self._solver = None
 
-    def _now(self) -> Circumstances:
-        return Circumstances.of(self.devices)
+    def _now(self) -> AcquisitionSettings:
+        return AcquisitionSettings.of(self.devices)
 
     def _set_running(self, is_running: bool) -> None:
         if not is_running:
@@ -371,8 +374,8 @@ class Instrument:
     def _pitch_px(self) -> float:
         return self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
 
-    def _auto_expose(self, watch: Watch) -> AutoExposure:
-        return auto_expose(self.devices, self._pitch_px, watch)
+    def _auto_expose(self, callbacks: RoutineCallbacks) -> AutoExposure:
+        return auto_expose(self.devices, self._pitch_px, callbacks)
 
     def _survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
@@ -403,8 +406,8 @@ class Instrument:
                 full_scale = camera.capabilities.full_scale
                 estimator = Estimator(Calibration.of(bench, reference, dark=dark, full_scale=full_scale))
                 self._lattice = estimator.calibration.lattice
-                _ = estimator.judge  # prepared before the first frame
-                self._solver = LiveSolver(estimator)
+                _ = estimator.quality_checker  # prepared before the first frame
+                self._solver = LiveEstimator(estimator)
                 self._estimator = estimator
         except ReconstructionError as error:
             self._problem, self._is_of_settings = str(error), isinstance(error, UnusableSettings)

@@ -15,13 +15,13 @@ from app.acquisition.address import NAME
 from app.acquisition.instrument import DeviceSetting, Instrument, Status
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, UnattendedRun, knows_sample, start_up, without_sample
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, HeadlessRun, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError
 from app.measurement.averages import EXPOSURE_FRAMES, FRAMES
-from app.measurement.bench_reconstructor import whole_number
 from app.measurement.measurement import Measurement
+from app.measurement.offline_reconstructor import whole_number
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
 from drivers.interface import WrongState
@@ -280,9 +280,9 @@ class LiveBench:
         acquisition, status = self._acquisition, self._status()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
-        run = UnattendedRun(acquisition, self._progress)
+        run = HeadlessRun(acquisition, self._progress)
         is_played = self._bench.is_recording  # each of its frames counts
-        if not status.is_running and (is_played or not status.has_finder):
+        if not status.is_running and (is_played or not status.has_background_estimator):
             self._result(begin())
             self._start_camera()
         else:

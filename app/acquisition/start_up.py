@@ -115,7 +115,7 @@ def has_moved(found: Lattice, status: Status) -> bool:
     return bool(np.linalg.norm(moved_px, axis=-1).max() > _SAME_LATTICE * before.pitch_px)
 
 
-class UnattendedRun:
+class HeadlessRun:
     """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot go on.
 
     `progress` receives what they wait for.

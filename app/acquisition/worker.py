@@ -17,15 +17,15 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
+from app.acquisition.emergency_light_off import EmergencyLightOff
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, ProcessState, Status
-from app.acquisition.light_switch import LightSwitch
 from app.acquisition.running_instrument import WINDOW, Activity
 from app.acquisition.streams.publisher import stream_sinks
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
-from app.measurement.routines import Cancelled, Watch
+from app.measurement.routines import Cancelled, RoutineCallbacks
 from app.measurement.sensor_region import SensorArea
 from app.progress import run_in_thread
 from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit, RecordingState
@@ -39,7 +39,7 @@ P = ParamSpec("P")
 _IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
-# Without a sign of life in these times, the guardian switches the light off.
+# Without a sign of life in these times, the watchdog switches the light off.
 _ALIVE_S = 1.5  # while the worker waits, and takes frames, ...
 _ALIVE_FRAMES = 5  # ... or the time of so many frames, if they take longer
 _COMMAND_S = 10.0  # a command, and each step of a routine: cameras change some settings slowly
@@ -73,7 +73,7 @@ class Acquisition:
         self._commands = CommandQueue(self._finish_command)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
-        self._light_switch = LightSwitch(hear_requests)
+        self._emergency_light_off = EmergencyLightOff(hear_requests)
         self._writing_status = threading.Lock()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()
@@ -98,10 +98,10 @@ class Acquisition:
 
         The future resolves after `status` is updated. A routine shows its progress as `activity`.
         """
-        known = self._light_switch.known()
+        known = self._emergency_light_off.known()
 
         def execute(instrument: Instrument) -> T:
-            self._light_switch.begin_command(known)
+            self._emergency_light_off.begin_command(known)
             return request(instrument, *arguments, **named)
 
         return self._commands.submit(execute)
@@ -116,14 +116,14 @@ class Acquisition:
 
         Commands that were sent before cannot switch it on again; the future resolves when it is off.
         """
-        future = self._light_switch.switch_off()
+        future = self._emergency_light_off.switch_off()
         self.cancel()
         future.add_done_callback(self._note_light_off)
         return future
 
     def keep_light_off(self) -> None:
         """Let the present command, which calls this, not light: the light was switched off after it was made."""
-        self._light_switch.begin_command(known=(-1, ""))
+        self._emergency_light_off.begin_command(known=(-1, ""))
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
@@ -213,7 +213,7 @@ class Acquisition:
     @property
     def activity(self) -> Activity:
         """Work besides taking frames; also that the light does not answer, for which all of it waits."""
-        if self._light_switch.is_light_silent:
+        if self._emergency_light_off.is_light_silent:
             return Activity("the light does not answer", may_cancel=False)
         return self._activity
 
@@ -253,7 +253,7 @@ class Acquisition:
         self.begin_close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
-        self._light_switch.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
+        self._emergency_light_off.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
 
     def _now_and_in_turn(self, act: Callable[[], None]) -> Future[None]:
         """Act at once, and again behind the commands that wait: one of them may start a recording."""
@@ -274,12 +274,12 @@ class Acquisition:
                         self.bench,
                         timings=self.timings,
                         show_preparation=self._show_preparation,
-                        watch=self._watch,
+                        callbacks=self._callbacks,
                     )
                 ) as instrument,
             ):
                 self._path.sinks += published
-                self._light_switch.attach(devices.light)
+                self._emergency_light_off.attach(devices.light)
                 self._keep_alive = devices.light.keep_alive
                 self._find_processes = instrument.processes
                 self._activity = Activity()
@@ -321,7 +321,7 @@ class Acquisition:
         self._activity = Activity(what, may_cancel=False)
         self._path.gap_cause = what
 
-    def _watch(self, instrument: Instrument, text: str) -> Watch:
+    def _callbacks(self, instrument: Instrument, text: str) -> RoutineCallbacks:
         def show_progress(frame: Frame, fraction: float) -> None:
             self._activity = Activity(text, fraction)
             self._path.show(frame, text, self._light())
@@ -335,7 +335,7 @@ class Acquisition:
         self._status_due_s = -math.inf
         self._activity = Activity(text)
         self._path.gap_cause = text
-        return Watch(show_progress, should_stop)
+        return RoutineCallbacks(show_progress, should_stop)
 
     def _execute_commands(self, instrument: Instrument, *, may_wait: bool) -> None:
         self._keep_alive(_ALIVE_S)
@@ -364,10 +364,10 @@ class Acquisition:
             self._update_status(instrument)
 
     def _update_status(self, instrument: Instrument) -> None:
-        asked_s, served = time.monotonic(), self._light_switch.served
+        asked_s, served = time.monotonic(), self._emergency_light_off.served
         status, answered_s = instrument.status(), time.monotonic()
         with self._writing_status:
-            if served != self._light_switch.served:  # switched off while the status was queried
+            if served != self._emergency_light_off.served:  # switched off while the status was queried
                 status = replace(status, is_light_on=False)
             self.status = status
         self._status_due_s = answered_s + max(_STATUS_INTERVAL_S, (answered_s - asked_s) / _STATUS_SHARE)

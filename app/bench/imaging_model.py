@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from app.bench.config import Bench
     from reconstruction.arrays import Floats, Image, PointField
-    from reconstruction.pipeline import Reconstructor
+    from reconstruction.reconstructor import Reconstructor
     from reconstruction.registration.subimages import ReferenceSubimages
 
 _POINTS_PER_BLUR = 2.8  # source points per lambda f / D; fewer would be resolved

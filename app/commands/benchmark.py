@@ -129,13 +129,13 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 
 def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:
     from app.gui.application import run_window
-    from app.gui.shell.access import Access
+    from app.gui.shell.instrument_factory import InstrumentFactory
 
     def open_run(window: MainWindow) -> None:
         if with_panels:
             panels = window.panels
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
-        window.open(Access(lambda: run.acquisition, lambda _: run.send()))
+        window.open(InstrumentFactory(lambda: run.acquisition, lambda _: run.send()))
 
     run_window(open_run, steps=lambda _: run.steps())
 

@@ -114,8 +114,8 @@ def calibrate_bench(
     import numpy as np
 
     from app.images import read_image
-    from app.measurement.bench_reconstructor import full_scale_of
     from app.measurement.mask_scale import mask_scale
+    from app.measurement.offline_reconstructor import full_scale_of
     from reconstruction.errors import ReconstructionError
     from reconstruction.lattice.search import survey
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
     from app.acquisition.running_instrument import RunningInstrument
     from app.bench.config import Bench
-    from app.gui.shell.access import Access
+    from app.gui.shell.instrument_factory import InstrumentFactory
     from app.gui.shell.main_window import MainWindow
     from app.measurement.measurement import Measurement
 
@@ -74,7 +74,7 @@ def live(
     elif replay is None and is_attended:
         offers_last = bench is None and not setting
         raise typer.Exit(bench_window(bench or DEFAULT, overrides, name, trust=trust_library, offers_last=offers_last))
-    from app.gui.shell.access import Access
+    from app.gui.shell.instrument_factory import InstrumentFactory
 
     if attach:
         loaded, access = _attached(name)
@@ -83,19 +83,19 @@ def live(
 
         loaded = options.load(bench or DEFAULT, setting)
         terminal.confirm_libraries(loaded, is_trusted=trust_library)
-        access = Access(partial(Acquisition, loaded))
+        access = InstrumentFactory(partial(Acquisition, loaded))
     else:
         from app.results.player import Player
 
         player = Player(replay, bench=bench, settings=overrides, frames=frames)
-        loaded, access = player.bench, Access(player.acquisition, player.begin, player)
+        loaded, access = player.bench, InstrumentFactory(player.acquisition, player.begin, player)
     if is_attended:
         from app.acquisition.remote.own_instrument import OwnInstrument
 
         with OwnInstrument(name) as own:  # for a bench that is opened in the window
             status = _run(lambda window: window.open(access), own)
         raise typer.Exit(status)
-    raise typer.Exit(unattended_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
+    raise typer.Exit(headless_window(loaded, access, seconds=seconds, out=out, overwrite=overwrite))
 
 
 def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
@@ -153,20 +153,22 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
     return status
 
 
-def _attached(name: str) -> tuple[Bench, Access]:
+def _attached(name: str) -> tuple[Bench, InstrumentFactory]:
     """Return the bench of an instrument of another process, and the window's access to it."""
     from app.acquisition.remote.connection import Connection, reach
-    from app.gui.shell.access import Access
+    from app.gui.shell.instrument_factory import InstrumentFactory
 
     first = reach("window", name)  # before there is a window: if none runs, the terminal tells
 
     def connect() -> Connection:
         return first if first.is_alive else reach("window", name)
 
-    return first.bench, Access(connect, begin=lambda _: ())  # it runs already
+    return first.bench, InstrumentFactory(connect, begin=lambda _: ())  # it runs already
 
 
-def unattended_window(bench: Bench, access: Access, *, seconds: float | None, out: Path, overwrite: bool) -> int:
+def headless_window(
+    bench: Bench, access: InstrumentFactory, *, seconds: float | None, out: Path, overwrite: bool
+) -> int:
     """Run the window without a user and return the exit status.
 
     The window closes by itself `seconds` after the first wavefront and writes `window.png`, `result.nc` and `run.json`
@@ -180,8 +182,8 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
     if (out / FRAME_LINES).exists():
         raise InputError(f"{out}: holds a recording; choose another folder with --out")
     options.check_files(picture, results, run, reads=bench.files, overwrite=overwrite)
-    from app.acquisition.start_up import UnattendedRun
-    from app.gui.application import run_window, unattended_steps
+    from app.acquisition.start_up import HeadlessRun
+    from app.gui.application import headless_steps, run_window
 
     def finish(acquisition: RunningInstrument, measurement: Measurement) -> None:
         _write_run(run, acquisition)
@@ -192,11 +194,11 @@ def unattended_window(bench: Bench, access: Access, *, seconds: float | None, ou
             write_results(results, dataset, bench=in_force, inputs={})
 
     make_folder(out)
-    unattended = UnattendedRun(access.make())
-    of_run = replace(access, make=lambda: unattended.acquisition, begin=lambda _: unattended.send(access.begin))
+    headless = HeadlessRun(access.make())
+    of_run = replace(access, make=lambda: headless.acquisition, begin=lambda _: headless.send(access.begin))
     status = run_window(
         lambda window: window.open(of_run),
-        steps=lambda window: unattended_steps(window, unattended, seconds or _UNATTENDED_S, picture, finish),
+        steps=lambda window: headless_steps(window, headless, seconds or _UNATTENDED_S, picture, finish),
     )
     sys.stdout.write(f"screenshot: {picture}\nresults: {results}\ntimings: {run}\n")
     return status

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from app.acquisition.session import LiveBench
     from app.bench.config import Bench
-    from app.results.frame_tallies import Measured
+    from app.results.run_summary import Measured
 
 
 def measure(
@@ -124,7 +124,7 @@ def _measured(live: LiveBench, frames: int, out: Path, progress: Progress, begin
     """Record with a live bench, and write the results."""
     from app.recording.folder import RUN, remove_empty
     from app.recording.reader import Recording
-    from app.results.frame_tallies import write_measured
+    from app.results.run_summary import write_measured
     from drivers.interface import DeviceError
 
     is_stopped, fault = False, ""
@@ -172,7 +172,7 @@ def print_measurement(measured: Measured, out: Path) -> None:
     """Print mean, scatter and error bar of each view's RMS over the frames, and the results' folder."""
     import numpy as np
 
-    from app.results.frame_tallies import rms_text
+    from app.results.run_summary import rms_text
 
     has_scatter = measured.reconstructed > 1
     of = f", mean +- scatter of {measured.reconstructed} frames" if has_scatter else " +- error bar"

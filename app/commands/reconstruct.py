@@ -40,11 +40,11 @@ def reconstruct(
 
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
     """
-    from app.measurement.bench_reconstructor import BenchReconstructor
+    from app.measurement.offline_reconstructor import OfflineReconstructor
     from app.results.dataset import result_dataset
     from app.results.figures import views_figure
-    from app.results.frame_tallies import QualityTally
     from app.results.result_file import write_results
+    from app.results.run_summary import QualityTally
     from reconstruction.errors import ReconstructionError
 
     loaded = options.load(bench, setting)
@@ -54,7 +54,7 @@ def reconstruct(
     image, reference_image, dark_image = _read_images(frame, reference, dark, loaded.camera_model.bits)
     changes_rad: list[float] = []
     try:
-        reconstructor = BenchReconstructor(loaded, reference_image, dark=dark_image)
+        reconstructor = OfflineReconstructor(loaded, reference_image, dark=dark_image)
         with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
 
             def note_round(step: Round) -> None:
@@ -107,7 +107,7 @@ def _check_scale(image: NDArray[Any], path: Path, other: NDArray[Any], other_pat
     """Raise `InputError` if another image has more counts than this one's type, or the camera, allows."""
     import numpy as np
 
-    from app.measurement.bench_reconstructor import full_scale_of
+    from app.measurement.offline_reconstructor import full_scale_of
     from reconstruction.frame.pixels import PEAK_PERCENT
 
     most = full_scale_of(image, 64 if image.dtype.kind in "ui" else bits)
@@ -134,7 +134,7 @@ def print_views(wavefront: Wavefront) -> None:
     """Print RMS with error bar and PV of every view, valid lenslets, and the assumed sample."""
     from app.measurement.measurement import sample_sentence
     from app.results.dataset import rotation_of
-    from app.results.frame_tallies import rms_noise, rms_text
+    from app.results.run_summary import rms_noise, rms_text
     from reconstruction.wavefront import peak_to_valley, rms
 
     def cell(view: Floats, noise_rad: float) -> str:

@@ -14,7 +14,7 @@ from app.progress import LINE_START, LINES
 
 if TYPE_CHECKING:
     from app.bench.config import Bench
-    from app.results.frame_tallies import QualityTally
+    from app.results.run_summary import QualityTally
     from reconstruction.geometry import Field
     from reconstruction.registration.circulation import Circulation
 
@@ -114,7 +114,7 @@ def print_by_view(field: Field, title: str, cells: Iterable[Iterable[str]]) -> N
 
 def print_rotation(rotation: Circulation, *, is_rotating: bool) -> None:
     """Print the rotation of the subimages, and a warning if it contradicts layers."""
-    from app.results.frame_tallies import ROTATES, rotation_sentence
+    from app.results.run_summary import ROTATES, rotation_sentence
 
     print_sentence(rotation_sentence(rotation))
     if is_rotating:

@@ -13,7 +13,7 @@ from app.bench.config import Bench, as_bench
 from app.cache import Arrays, cached
 from app.errors import InputError
 from app.measurement.averages import FRAMES
-from app.measurement.bench_reconstructor import whole_number
+from app.measurement.offline_reconstructor import whole_number
 from reconstruction.arrays import Counts, Floats, Image
 from simulated_devices.bench import PHOTONS_PER_S_M2_A
 from simulated_devices.detector import Detector, FrameConditions

@@ -28,8 +28,8 @@ from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.pipeline import NOISE_MODES, Reconstructor
 from reconstruction.quality.information import layered_information, wavefront_bound
+from reconstruction.reconstructor import NOISE_MODES, Reconstructor
 from reconstruction.registration.response import WarpRegistration, mean_subimage
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.wavefront import mean_rms

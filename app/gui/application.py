@@ -8,13 +8,13 @@ from pathlib import Path
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
-from app.acquisition.start_up import UnattendedRun
+from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, saved_state
-from app.gui.shell.wording import left_behind
+from app.gui.shell.status_text import left_behind
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.theme import styled_application
 from app.gui.widgets.timers import timer
@@ -135,9 +135,9 @@ class _StepTimer:
         self._window.close()
 
 
-def unattended_steps(
+def headless_steps(
     window: MainWindow,
-    run: UnattendedRun,
+    run: HeadlessRun,
     seconds: float,
     screenshot: Path | None = None,
     on_finish: Callable[[RunningInstrument, Measurement], object] = lambda _, __: None,

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from app.measurement.routines import RoutineError, Watch, check_lit, next_frame, restored
+from app.measurement.routines import RoutineCallbacks, RoutineError, check_lit, next_frame, restored
 from drivers.interface import BadValue, Devices, Range
 from drivers.manual_light import ManualLight
 from reconstruction.arrays import SIGMA_OF_MEDIAN
@@ -72,7 +72,7 @@ class AutoExposure:
     frames: int  # test frames
 
 
-def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float = FILL) -> AutoExposure:
+def auto_expose(devices: Devices, cell_px: float, callbacks: RoutineCallbacks, *, fill: float = FILL) -> AutoExposure:
     """Set exposure, and current if needed, so that the brightest lenslets fill `fill` of full scale.
 
     `cell_px` is the lenslet pitch on the camera. The light is on during the search and then restored. A `RoutineError`
@@ -89,14 +89,14 @@ def auto_expose(devices: Devices, cell_px: float, watch: Watch, *, fill: float =
         devices.light.set_on(True)
         while True:
             camera.start()
-            frame = next_frame(camera, watch.should_stop)
+            frame = next_frame(camera, callbacks.should_stop)
             camera.stop()
             check_lit(devices.light)
             full_scale = camera.capabilities.full_scale  # some cameras show it only by their frames
             seen = brightness(frame.pixels, cell_px)
             is_reached = abs(seen.level / full_scale - fill) <= TOLERANCE
             shots.append(Shot(taken, seen, seen.level >= SATURATED * full_scale))
-            watch.progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
+            callbacks.progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
             if is_reached:
                 if seen.level - seen.background < _LEAST_CONTRAST * seen.level:
                     why = "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"

@@ -6,7 +6,7 @@ from typing import Self, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from app.measurement.routines import Watch, check_lit, next_frame, restored
+from app.measurement.routines import RoutineCallbacks, check_lit, next_frame, restored
 from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
 from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
@@ -40,7 +40,7 @@ class Average:
         return cls(cast("NDArray[np.float32]", image), unknown, 1, np.nan, np.nan, "")
 
 
-def average(camera: Camera, frames: int, watch: Watch) -> Average:
+def average(camera: Camera, frames: int, callbacks: RoutineCallbacks) -> Average:
     """Restart the camera, to exclude earlier frames, and average `frames` frames.
 
     Recurrence of B. P. Welford (Technometrics 4, 419, 1962), which avoids cancellation.
@@ -49,11 +49,11 @@ def average(camera: Camera, frames: int, watch: Watch) -> Average:
     camera.start()
     mean, squares = np.zeros((2, camera.capabilities.rows, camera.capabilities.columns))
     for index in range(frames):
-        frame = next_frame(camera, watch.should_stop)
+        frame = next_frame(camera, callbacks.should_stop)
         away = frame.pixels - mean
         mean += away / (index + 1)
         squares += away * (frame.pixels - mean)
-        watch.progress(frame, (index + 1) / frames)
+        callbacks.progress(frame, (index + 1) / frames)
     return Average(
         mean=mean.astype(np.float32),
         variance=(squares / max(frames - 1, 1)).astype(np.float32),
@@ -64,21 +64,21 @@ def average(camera: Camera, frames: int, watch: Watch) -> Average:
     )
 
 
-def take_dark(devices: Devices, frames: int, watch: Watch) -> Average:
+def take_dark(devices: Devices, frames: int, callbacks: RoutineCallbacks) -> Average:
     """Average frames with the light off."""
     _check(frames)
     with restored(devices):
         devices.light.set_on(False)
-        return average(devices.camera, frames, watch)
+        return average(devices.camera, frames, callbacks)
 
 
-def take_reference(devices: Devices, frames: int, watch: Watch) -> Average:
+def take_reference(devices: Devices, frames: int, callbacks: RoutineCallbacks) -> Average:
     """Average frames with the light on and the sample out."""
     _check(frames)
     with restored(devices):
         devices.stage.set_sample_in(False)
         devices.light.set_on(True)
-        averaged = average(devices.camera, frames, watch)
+        averaged = average(devices.camera, frames, callbacks)
         check_lit(devices.light)
         return averaged
 
@@ -120,15 +120,15 @@ class BackgroundCheck:
         return f"the background has changed since the dark: drift {drift}, {pixels}; take the dark again"
 
 
-def check_background(devices: Devices, dark: Average, frames: int, watch: Watch) -> BackgroundCheck:
+def check_background(devices: Devices, dark: Average, frames: int, callbacks: RoutineCallbacks) -> BackgroundCheck:
     """Compare `frames` frames without light with the dark, which must be of the same exposure and mode."""
     levels: list[float] = []
 
     def note(frame: Frame, fraction: float) -> None:
         levels.append(float(np.mean(frame.pixels)))
-        watch.progress(frame, fraction)
+        callbacks.progress(frame, fraction)
 
-    now = take_dark(devices, frames, Watch(note, watch.should_stop))
+    now = take_dark(devices, frames, RoutineCallbacks(note, callbacks.should_stop))
     return compare_backgrounds(dark, now, levels)
 
 

@@ -21,8 +21,8 @@ from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer
 from reconstruction.frame.pixels import KnownCamera, find_bad_pixels, repaired
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
-from reconstruction.pipeline import NO_OWN, OwnMethods, Reconstructor
 from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.reconstructor import NO_OWN, OwnMethods, Reconstructor
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True, kw_only=True)

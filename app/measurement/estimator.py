@@ -19,8 +19,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
-from reconstruction.pipeline import Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.frame_quality import QualityChecker
 from reconstruction.quality.reference_quality import (
     likeness_quality,
     linearity_quality,
@@ -28,6 +27,7 @@ from reconstruction.quality.reference_quality import (
     sample_quality,
 )
 from reconstruction.quality.verdict import Fault, Quality, repeated_reference, sequence_quality
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.refinement import Refinement, Round
 from reconstruction.runtime.threads import THREADS
 from reconstruction.settings import FIELD_MODES
@@ -54,7 +54,7 @@ class Estimator:
         return self.calibration.reconstructor()
 
     @cached_property
-    def judge(self) -> FrameJudge:
+    def quality_checker(self) -> QualityChecker:
         """Judges frames by their displacements; the calibration itself is judged already."""
         made, given, shown = self.reconstructor, self.calibration, None
         if given.bench.lattice is not None:
@@ -67,7 +67,7 @@ class Estimator:
             camera=made.camera,
             variance=given.reference.variance,
         )
-        return FrameJudge(
+        return QualityChecker(
             made.subimages,
             made.registration,
             camera=made.camera,
@@ -93,7 +93,7 @@ class Estimator:
 
     def quality(self, counts: Counts, displacement: Displacement) -> Quality:
         """Judge an image (row, column) by its displacements, and by its noise unless averages show that."""
-        judged, given = self.judge(counts, displacement), self.calibration
+        judged, given = self.quality_checker(counts, displacement), self.calibration
         if given.known is None:
             return judged
         curve, alike = given.transfer_of(counts), Quality()

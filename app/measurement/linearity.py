@@ -8,7 +8,7 @@ import numpy as np
 
 from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import LEAST_EXPOSURE_FRAMES, Average, average
-from app.measurement.routines import RoutineError, Watch, check_lit, restored
+from app.measurement.routines import RoutineCallbacks, RoutineError, check_lit, restored
 from drivers.interface import Devices
 from drivers.manual_light import ManualLight
 from reconstruction.arrays import Image
@@ -22,7 +22,7 @@ _PASSES = 2  # up and down
 _MARGIN = 1.2  # of the exposure that a lower current shall demand
 
 
-def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watch) -> MeasuredLinearity:
+def measure_linearity(devices: Devices, cell_px: float, frames: int, callbacks: RoutineCallbacks) -> MeasuredLinearity:
     """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
 
     `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why that is impossible; everything is restored.
@@ -34,14 +34,14 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watc
         raise RoutineError(f"at least {LEAST_EXPOSURE_FRAMES} frames of each exposure are needed: they tell its noise")
     with restored(devices):
         devices.stage.set_sample_in(False)
-        exposures_s = _exposure_times(devices, cell_px, watch)
+        exposures_s = _exposure_times(devices, cell_px, callbacks)
         visits = (exposures_s + exposures_s[::-1]) * _PASSES
         shares = iter(np.linspace(0, 1, len(exposures_s) + 1 + len(visits) + 1))
 
         def averaged(exposure_s: float) -> Average:
             camera.stop()
             camera.set_exposure(exposure_s)
-            return average(camera, frames, _at(next(shares), watch))
+            return average(camera, frames, _at(next(shares), callbacks))
 
         light.set_on(False)
         darks = {exposure_s: averaged(exposure_s) for exposure_s in exposures_s}
@@ -65,21 +65,21 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, watch: Watc
             raise RoutineError(str(error)) from error
 
 
-def _at(share: float, watch: Watch) -> Watch:
+def _at(share: float, callbacks: RoutineCallbacks) -> RoutineCallbacks:
     """Callbacks of a part of the routine, during which the progress stays at `share`."""
-    return Watch(lambda frame, _: watch.progress(frame, share), watch.should_stop)
+    return RoutineCallbacks(lambda frame, _: callbacks.progress(frame, share), callbacks.should_stop)
 
 
-def _exposure_times(devices: Devices, cell_px: float, watch: Watch) -> list[float]:
+def _exposure_times(devices: Devices, cell_px: float, callbacks: RoutineCallbacks) -> list[float]:
     """Set the current, and return the exposures, s, of which the longest nearly fills the camera's scale."""
     camera, light = devices.camera, devices.light
-    longest_s = auto_expose(devices, cell_px, _at(0.0, watch), fill=_FILL).exposure_s
+    longest_s = auto_expose(devices, cell_px, _at(0.0, callbacks), fill=_FILL).exposure_s
     allowed = camera.capabilities.exposure_range_s
     wanted_s = min(_SPAN * allowed.minimum, allowed.maximum)
     if longest_s < wanted_s:
         dimmed_a = max(light.current_a * longest_s / (_MARGIN * wanted_s), light.current_range_a.minimum)
         light.set_current(dimmed_a)
-        longest_s = auto_expose(devices, cell_px, _at(0.0, watch), fill=_FILL).exposure_s
+        longest_s = auto_expose(devices, cell_px, _at(0.0, callbacks), fill=_FILL).exposure_s
     shortest_s = max(allowed.minimum, longest_s / _SPAN)
     if longest_s < LEAST_SPAN * shortest_s:
         raise RoutineError(

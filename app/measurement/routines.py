@@ -32,14 +32,14 @@ ShouldStop = Callable[[], bool]
 
 
 @dataclass(frozen=True, slots=True)
-class Watch:
+class RoutineCallbacks:
     """Callbacks of a routine; by default nobody watches."""
 
     progress: FrameProgress = lambda *_: None
     should_stop: ShouldStop = lambda: False
 
 
-UNWATCHED = Watch()
+NO_CALLBACKS = RoutineCallbacks()
 
 _SLICE_S = 0.005  # longest wait for a frame: commands and a stop take effect at once even in a long exposure
 _MARGIN_S = 3.0  # timeout beyond the exposure
@@ -143,7 +143,7 @@ def restored(devices: Devices) -> Iterator[DeviceState]:
 
 
 @dataclass(frozen=True, slots=True)
-class Circumstances:
+class AcquisitionSettings:
     """Settings that must agree between a dark or reference and the frames it is used for.
 
     The light's current is not among them: the registration is independent of brightness.
@@ -158,7 +158,7 @@ class Circumstances:
     mask: str
 
     @classmethod
-    def of(cls, devices: Devices) -> Circumstances:
+    def of(cls, devices: Devices) -> AcquisitionSettings:
         """Query camera and stage."""
         camera = devices.camera
         return cls(
@@ -171,11 +171,11 @@ class Circumstances:
             mask=devices.stage.mask,
         )
 
-    def shows_same_pixels(self, now: Circumstances) -> bool:
+    def shows_same_pixels(self, now: AcquisitionSettings) -> bool:
         """True if frames show the same pixels of the sensor as now."""
         return (self.region, self.binning) == (now.region, now.binning)
 
-    def difference(self, now: Circumstances, *, is_lit: bool) -> str:
+    def difference(self, now: AcquisitionSettings, *, is_lit: bool) -> str:
         """Return the worst difference, as words after "was taken"; a mask matters only if `is_lit`."""
         if not self.shows_same_pixels(now):
             return "of another part of the sensor, or with another binning"

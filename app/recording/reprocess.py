@@ -109,7 +109,7 @@ class Reprocessing:
         try:
             calibration = recorded if self._change is None else self._change(recorded)
             estimator = Estimator(calibration, threads=1)
-            _ = estimator.judge
+            _ = estimator.quality_checker
             if self._rounds:
                 _ = estimator.refinement
         except (ReconstructionError, ValueError) as error:

@@ -16,7 +16,7 @@ from app.measurement.measurement import Measurement
 from app.results.point_spread import point_spread
 from app.results.result_file import FRAME, LENSLET, PIECE, VIEW, Variable, about, require_alike, write_results
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import AssumedSample
 from reconstruction.quality.image_quality import mtf, psf
@@ -81,8 +81,8 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     vectors, modes = (*LENSLET, "field_mode", "xy"), ("pupil_mode", "field_mode")
     misfit = "RMS misfit of the registered subimage over the contrast of the brightest one"
     outcome = about("1", "0 converged, else why the lenslet was lost") | {
-        "flag_values": np.array(list(Outcome), displacement.outcome.dtype),
-        "flag_meanings": " ".join(each.name.lower() for each in Outcome),
+        "flag_values": np.array(list(LensletStatus), displacement.outcome.dtype),
+        "flag_meanings": " ".join(each.name.lower() for each in LensletStatus),
     }
     variables: dict[str, Variable] = {
         **_wavefront_variables(wavefront.views, wavefront.sensor),

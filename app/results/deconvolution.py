@@ -13,7 +13,7 @@ import xarray as xr
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write
-from app.measurement.bench_reconstructor import as_image
+from app.measurement.offline_reconstructor import as_image
 from app.progress import Progress
 from app.results.sources import phase_of
 from reconstruction.arrays import Counts

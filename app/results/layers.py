@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from app.measurement.bench_reconstructor import BenchReconstructor
     from app.measurement.calibration import Calibration
     from app.measurement.measurement import Measurement
-    from reconstruction.pipeline import Reconstructor
+    from app.measurement.offline_reconstructor import OfflineReconstructor
+    from reconstruction.reconstructor import Reconstructor
     from reconstruction.wavefront import Wavefront
 
 Origin = Literal["lenslets", "mask"]  # where distances are measured from
@@ -37,7 +37,11 @@ COUNT = 1  # of layers to look for, unless another is chosen
 
 
 def find_layers(
-    reconstructor: BenchReconstructor, wavefront: Wavefront, count: int = COUNT, *, distances_m: tuple[float, ...] = ()
+    reconstructor: OfflineReconstructor,
+    wavefront: Wavefront,
+    count: int = COUNT,
+    *,
+    distances_m: tuple[float, ...] = (),
 ) -> xr.Dataset:
     """Find at which distance from the lenslets the aberration originates (docs/layers.md).
 

@@ -11,8 +11,8 @@ from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from app.recording.playback_devices import RecordedCamera, playback_devices
 from app.recording.reader import Recording
-from app.recording.recorded_devices import RecordedCamera, recorded_devices
 from app.results.replay import change_of
 from drivers.interface import Devices, Frame, FrameLost, WrongState
 
@@ -44,7 +44,7 @@ class Player:
     def open_devices(self, _bench: Bench, _progress: Callable[[float], None]) -> Devices:
         """Open the devices, at the first frame."""
         self.position = None
-        devices = recorded_devices(self._recording, self.frames, pace="own", repeat=True)
+        devices = playback_devices(self._recording, self.frames, pace="own", repeat=True)
         self._camera = devices.camera if isinstance(devices.camera, RecordedCamera) else None
         self.set_speed(self._speed)
         return devices

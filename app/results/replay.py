@@ -18,8 +18,8 @@ from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
 from app.results.dataset import results_in_pieces
-from app.results.frame_tallies import FrameTally
 from app.results.result_file import VIEW, Variable, about, write_pieces
+from app.results.run_summary import FrameTally
 from app.run_facts import machine_facts
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field

@@ -22,7 +22,7 @@ from app.results.figures import draw_curves, draw_maps, place_of_view
 from app.results.replay import change_of
 from app.results.report_summary import Residual, Statistics, Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.field_coefficients import ModalFit, fit_coefficients
 from reconstruction.geometry import Field
@@ -118,12 +118,12 @@ def _some(count: int) -> list[int]:
 
 
 _COLOURS = {
-    Outcome.DARK: "#4d4d4d",
-    Outcome.SATURATED: "#e69f00",
-    Outcome.DIVERGED: "#cc3311",
-    Outcome.LEFT_CELL: "#0077bb",
-    Outcome.OFF_CAMERA: "#aa4499",
-    Outcome.EXCLUDED: "#44aa99",
+    LensletStatus.DARK: "#4d4d4d",
+    LensletStatus.SATURATED: "#e69f00",
+    LensletStatus.DIVERGED: "#cc3311",
+    LensletStatus.LEFT_CELL: "#0077bb",
+    LensletStatus.OFF_CAMERA: "#aa4499",
+    LensletStatus.EXCLUDED: "#44aa99",
 }
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
 

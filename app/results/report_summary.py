@@ -21,10 +21,10 @@ from app.progress import Progress, counted, counting
 from app.recording.frame_lines import FrameLine
 from app.recording.reader import Recording
 from app.recording.reprocess import Change, reprocess
-from app.results.frame_tallies import QualityTally
 from app.results.replay import are_alike
+from app.results.run_summary import QualityTally
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.geometry import Field
 from reconstruction.wavefront import Wavefront, mean_rms, rms, without_piston
 
@@ -39,7 +39,7 @@ class Statistics:
     mean: Floats  # wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown
     sigma: Floats  # of one frame, rad, root mean square over views and frames, (lenslet_row, lenslet_column)
     lost: Floats  # share of the frames without a slope, (lenslet_row, lenslet_column)
-    reason: NDArray[np.int8]  # most frequent `Outcome` of those, else CONVERGED, (lenslet_row, lenslet_column)
+    reason: NDArray[np.int8]  # most frequent `LensletStatus` of those, else CONVERGED, (lenslet_row, lenslet_column)
     rms_rad: Floats  # mean over the views, (frame,)
     rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation, an upper bound for that of `rms_rad`, (frame,)
     wavefront: Wavefront  # of the middle frame
@@ -111,7 +111,7 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
     indices, rms_rad, rms_sigma_rad = list[int](), list[float](), list[float]()
     middle: tuple[int, Wavefront] | None = None
     total = known = variances = known_variances = np.zeros(())
-    outcomes = np.zeros((len(Outcome), 1, 1), np.int64)  # number of frames, (outcome, ...)
+    outcomes = np.zeros((len(LensletStatus), 1, 1), np.int64)  # number of frames, (outcome, ...)
     refined, quality = 0, QualityTally()
     for done, frame in enumerate(frames, 1):
         if (wavefront := frame.wavefront) is None:
@@ -124,7 +124,7 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
         total, known = total + np.nan_to_num(views), known + np.isfinite(views)
         variances = variances + np.nansum(variance, axis=(0, 1))
         known_variances = known_variances + np.isfinite(variance).sum(axis=(0, 1))
-        outcomes = outcomes + (wavefront.displacement.outcome == np.array(Outcome)[:, None, None])
+        outcomes = outcomes + (wavefront.displacement.outcome == np.array(LensletStatus)[:, None, None])
         indices.append(frame.index)
         rms_rad.append(mean_rms(views))
         rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
@@ -132,7 +132,7 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
         quality.take(frame.quality)
     if middle is None:
         return None
-    outcomes[Outcome.CONVERGED] = 0
+    outcomes[LensletStatus.CONVERGED] = 0
     with np.errstate(invalid="ignore"):  # unknown in all frames
         return Statistics(
             frames=np.array(indices),

@@ -15,7 +15,7 @@ from app.errors import SETTINGS_CHANGED, InputError
 from app.progress import Progress
 from app.results.result_file import reading_results
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
 from reconstruction.modes.field_modes import PolynomialModes, gradient_basis, orthogonal_modes
@@ -268,7 +268,9 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
         modes=modes,
         coefficients=np.swapaxes(of_lenslets.reshape(*shape, 2, -1), 2, 3),
         covariance_source=variance,
-        outcome=np.where(results["valid"].values.astype(bool) & basis.inside, Outcome.CONVERGED, Outcome.DARK),
+        outcome=np.where(
+            results["valid"].values.astype(bool) & basis.inside, LensletStatus.CONVERGED, LensletStatus.DARK
+        ),
         residual_rms=unknown,
         chi_square=unknown,
         range_used=unknown,

@@ -41,7 +41,7 @@ class KnownCamera:
 UNKNOWN_CAMERA = KnownCamera()
 
 
-class AboveDark:
+class DarkSubtractor:
     """Subtracts the dark from images of one shape, and corrects the nonlinearity."""
 
     def __init__(self, shape: tuple[int, ...], camera: KnownCamera) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Counts, Floats
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.frame.pixels import (
     BACKGROUND_PERCENT,
     CLIPPED,
@@ -76,7 +76,7 @@ _LEAST_SIDE, _LEAST_LENSLETS = 4, 25  # fewer sample a smooth wavefront too coar
 _FEW_LENSLETS = "slopes are not judged: the lattice has too few lenslets"
 
 
-class FrameJudge:
+class QualityChecker:
     """Judges frames measured against one reference."""
 
     def __init__(
@@ -143,9 +143,9 @@ class FrameJudge:
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in the outcomes of the lenslets, their residuals and their slopes."""
         outcome, count = displacement.outcome, displacement.outcome.size
-        counts = np.bincount(outcome[self._lit], minlength=len(Outcome)).tolist()
-        unlike, left, dark = counts[Outcome.DIVERGED], counts[Outcome.LEFT_CELL], counts[Outcome.DARK]
-        saturated = counts[Outcome.SATURATED]
+        counts = np.bincount(outcome[self._lit], minlength=len(LensletStatus)).tolist()
+        unlike, left, dark = counts[LensletStatus.DIVERGED], counts[LensletStatus.LEFT_CELL], counts[LensletStatus.DARK]
+        saturated = counts[LensletStatus.SATURATED]
         lit = sum(counts)
         deformation_px, spread_px = self._sizes_px(displacement)
         misfit = _misfit(displacement) if self._knows_misfit else 0.0

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Field, centered_steps, require
@@ -106,7 +106,7 @@ class Centroids:
             covariance=diagonal_covariance(variance),
             residual_rms=np.sqrt(np.mean(misfit**2, axis=1)) * reference.contrast / reference.contrast.max(),
             contrast=after.height.min(axis=1),
-            faults={Outcome.DIVERGED: lost.any(axis=1), Outcome.SATURATED: reference.touched(saturated)},
+            faults={LensletStatus.DIVERGED: lost.any(axis=1), LensletStatus.SATURATED: reference.touched(saturated)},
         )
 
     def _follow(self, coefficients: Image, start_px: Floats) -> _Stars:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
@@ -57,8 +57,8 @@ class Correlation:
             residual_rms=residual_rms * reference.contrast / reference.contrast.max(),
             contrast=window.std(axis=(1, 2)),
             faults={
-                Outcome.DIVERGED: ~(found & (residual_rms < _MISFIT)),
-                Outcome.SATURATED: reference.touched(saturated),
+                LensletStatus.DIVERGED: ~(found & (residual_rms < _MISFIT)),
+                LensletStatus.SATURATED: reference.touched(saturated),
             },
         )
 

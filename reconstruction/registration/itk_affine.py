@@ -17,7 +17,7 @@ import numpy as np
 from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, Outcome, RegistrationMethod
+from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
@@ -79,7 +79,7 @@ class ItkAffine:
             covariance=self._covariance * noise[:, None, None, None, None],
             residual_rms=residual_rms / reference.contrast.max(),
             contrast=subimages.std(axis=(1, 2)),
-            faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
+            faults={LensletStatus.DIVERGED: ~found, LensletStatus.SATURATED: reference.touched(saturated)},
         )
 
     def _align(self, reference: Image, subimage: Image) -> Floats | None:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import CovarianceSource, Displacement, Outcome
+from reconstruction.displacement import CovarianceSource, Displacement, LensletStatus
 from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
 from reconstruction.frame.pixels import repaired
@@ -198,7 +198,7 @@ def classify_lenslets(
     covariance: Floats | CovarianceSource,
     residual_rms: Floats,
     contrast: NDArray[np.floating[Any]],
-    faults: dict[Outcome, Booleans],
+    faults: dict[LensletStatus, Booleans],
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
@@ -210,16 +210,16 @@ def classify_lenslets(
     for fault in faults.values():
         lost |= fault
     range_used = reference.range_used(np.where(lost[:, None, None], 0, coefficients), modes)
-    outcome = np.full(len(coefficients), Outcome.CONVERGED, np.int8)
-    outcome[range_used > 1] = Outcome.LEFT_CELL
+    outcome = np.full(len(coefficients), LensletStatus.CONVERGED, np.int8)
+    outcome[range_used > 1] = LensletStatus.LEFT_CELL
     for reason, fault in faults.items():
         outcome[fault] = reason
     contrast = np.where(np.isfinite(contrast), contrast, 0)
-    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = Outcome.DARK
-    outcome[reference.off_camera] = Outcome.OFF_CAMERA
-    outcome[reference.excluded] = Outcome.EXCLUDED
-    found = outcome == Outcome.CONVERGED
-    far = (outcome == Outcome.LEFT_CELL) & (range_used > 0)
+    outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = LensletStatus.DARK
+    outcome[reference.off_camera] = LensletStatus.OFF_CAMERA
+    outcome[reference.excluded] = LensletStatus.EXCLUDED
+    found = outcome == LensletStatus.CONVERGED
+    far = (outcome == LensletStatus.LEFT_CELL) & (range_used > 0)
     all_found = bool(found.all())
 
     def arrange(values: Floats, keep: Booleans = found) -> Floats:

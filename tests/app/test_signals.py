@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import pytest
 from support.patience import HANG_S
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
 
 from app.errors import ENDING, ended_by
 

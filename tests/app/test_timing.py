@@ -16,7 +16,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.timing import Timings
 from reconstruction.displacement import Displacement
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 
 
 def test_empty_stage_has_no_statistics() -> None:

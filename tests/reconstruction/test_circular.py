@@ -11,7 +11,7 @@ from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import ZernikeModes
 from reconstruction.modes.polynomials import zernike
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver

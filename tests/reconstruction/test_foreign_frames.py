@@ -12,7 +12,7 @@ from support.paths import FOREIGN_FRAMES
 from app.bench.config import load_bench
 from app.bench.imaging_model import BenchModel, lenslet_model
 from reconstruction.lattice.search import survey
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.refinement import Refinement
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import mean_rms, rms

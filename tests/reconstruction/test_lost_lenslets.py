@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, SmallBench
 
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.pixels import KnownCamera
@@ -41,7 +41,7 @@ def test_dark_lenslet_is_lost_and_does_not_affect_others(
     frame = tilted + np.random.default_rng(0).normal(0, 20, tilted.shape).astype(np.float32)
     frame[_cell(small_bench, 2, 5)] = np.random.default_rng(1).normal(0, 20, (30, 30))
     wavefront = small_bench.reconstructor("affine", method)(frame)
-    assert wavefront.displacement.outcome[2, 5] == Outcome.DARK
+    assert wavefront.displacement.outcome[2, 5] == LensletStatus.DARK
     assert np.count_nonzero(~wavefront.displacement.valid) == 1
     assert np.isnan(wavefront.displacement.coefficients[2, 5]).all()
     truth = TILT * small_bench.pupil_x_m
@@ -60,7 +60,7 @@ def test_excluded_lenslet_is_lost_whatever_it_shows(
     reconstruct = small_bench.reconstructor(registration=settings)
     wavefront = reconstruct(frame)
     assert np.argwhere(~wavefront.displacement.valid).tolist() == [[2, 5]]
-    assert wavefront.displacement.outcome[2, 5] == Outcome.EXCLUDED
+    assert wavefront.displacement.outcome[2, 5] == LensletStatus.EXCLUDED
     untouched = reconstruct(tilted)
     np.testing.assert_allclose(wavefront.views, untouched.views, atol=1e-3)  # it goes on without it
     assert np.isnan(wavefront.views[1, 1, 2, 5])
@@ -70,7 +70,7 @@ def test_foreign_subimage_diverges(small_bench: SmallBench, tilted: NDArray[np.f
     frame = tilted.copy()
     frame[_cell(small_bench, 3, 3)] = np.random.default_rng(2).uniform(0, tilted.max(), (30, 30))
     outcome = small_bench.reconstructor()(frame).displacement.outcome
-    assert outcome[3, 3] == Outcome.DIVERGED
+    assert outcome[3, 3] == LensletStatus.DIVERGED
     assert np.count_nonzero(outcome) == 1
 
 
@@ -82,15 +82,15 @@ def test_subimage_beyond_cell_has_left_it(small_bench: SmallBench) -> None:
         return (slope * np.maximum(u - 1.25e-3, 0) + 0 * v).astype(np.float32)
 
     outcome = small_bench.reconstructor()(small_bench.frame(phase)).displacement.outcome
-    assert set(outcome[:, 7:].ravel()) <= {Outcome.LEFT_CELL, Outcome.DIVERGED}
-    assert np.all(outcome[:, :6] == Outcome.CONVERGED)
+    assert set(outcome[:, 7:].ravel()) <= {LensletStatus.LEFT_CELL, LensletStatus.DIVERGED}
+    assert np.all(outcome[:, :6] == LensletStatus.CONVERGED)
 
 
 def test_lenslet_outside_camera_is_off_camera(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:
     reconstructor = small_bench.reconstructor(reference=small_bench.reference[:, :-25])
     outcome = reconstructor(tilted[:, :-25]).displacement.outcome
-    assert np.all(outcome[:, 8] == Outcome.OFF_CAMERA)
-    assert np.all(outcome[:, :8] == Outcome.CONVERGED)
+    assert np.all(outcome[:, 8] == LensletStatus.OFF_CAMERA)
+    assert np.all(outcome[:, :8] == LensletStatus.CONVERGED)
 
 
 NONSENSE: dict[str, Callable[[NDArray[np.float32]], NDArray[Any]]] = {
@@ -170,7 +170,7 @@ def test_half_covered_lenslet_diverges(small_bench: SmallBench, tilted: NDArray[
     rows, columns = _cell(small_bench, 3, 3)
     frame[rows, columns.start : columns.start + 15] = 0
     outcome = small_bench.reconstructor("quadratic")(frame).displacement.outcome
-    assert outcome[3, 3] != Outcome.CONVERGED
+    assert outcome[3, 3] != LensletStatus.CONVERGED
     assert np.count_nonzero(outcome) == 1
 
 
@@ -221,8 +221,8 @@ def test_dark_neighbours_of_a_few_lit_lenslets_are_not_valid(small_bench: SmallB
     frame = np.where(lit, light, 0) + rng.normal(0, 20, light.shape)
     reconstructor = small_bench.reconstructor("affine", "zonal", reference=reference.astype(np.float32))
     outcome = reconstructor.register(frame.astype(np.float32)).outcome
-    assert np.count_nonzero(outcome == Outcome.CONVERGED) == 4
-    assert np.count_nonzero(outcome == Outcome.DARK) == outcome.size - 4
+    assert np.count_nonzero(outcome == LensletStatus.CONVERGED) == 4
+    assert np.count_nonzero(outcome == LensletStatus.DARK) == outcome.size - 4
 
 
 def test_frame_of_another_mask_is_not_called_dark(small_bench: SmallBench, tilted: NDArray[np.float32]) -> None:

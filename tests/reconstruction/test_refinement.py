@@ -16,7 +16,7 @@ from app.bench.config import Bench
 from app.bench.imaging_model import BenchModel, measured_source
 from reconstruction.arrays import Floats, PointField
 from reconstruction.errors import ReconstructionError
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.refinement import Refinement, Round
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.optics.source import SourcePoints

@@ -21,7 +21,7 @@ from reconstruction.geometry import Field
 from reconstruction.layers.layer_search import LayerSearch
 from reconstruction.layers.layer_solver import Layer, LayerFit
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel
 from reconstruction.solve.evidence import FitQuality
 from reconstruction.wavefront import mean_rms
@@ -138,7 +138,7 @@ def test_setting_decides_what_is_assumed(checker_bench: SmallBench, monkeypatch:
     none = np.zeros(0)
     search = LayerSearch(none, none, none, one, None, None, better)
     search_layers = Mock(return_value=search)
-    monkeypatch.setattr("reconstruction.pipeline.search_layers", search_layers)
+    monkeypatch.setattr("reconstruction.reconstructor.search_layers", search_layers)
     samples = {}
     for setting in ("automatic", "layers", "free"):
         prepared = checker_bench.reconstructor("quadratic", pupil_modes=None, sample=setting)

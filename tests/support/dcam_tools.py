@@ -16,8 +16,8 @@ import pytest
 from drivers.dcam import DcamSettings
 from drivers.dcam._library import DcamLibrary, load_library
 from drivers.dcam.camera import DcamCamera
-from support.wires.dcam.build import NoCompiler, build
-from support.wires.dcam.stand_in import StandIn
+from support.stand_ins.dcam.build import NoCompiler, build
+from support.stand_ins.dcam.stand_in import StandIn
 
 
 @cache

@@ -11,9 +11,9 @@ from drivers.dcam.camera import DcamCamera
 from drivers.interface import DeviceError, LightSource
 from simulated_devices.clock import ManualClock
 from support.dcam_tools import dcam_stand_in, open_camera
-from support.wires.dc4100 import DC4100Wire
-from support.wires.dcam.stand_in import StandIn
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.dcam.stand_in import StandIn
+from support.stand_ins.pseudo_terminal import PtyServer
 
 
 @pytest.fixture

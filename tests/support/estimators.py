@@ -9,7 +9,7 @@ from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
 from reconstruction.arrays import Counts
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 
 
 def estimator_with(reconstructor: Reconstructor, bench: Bench, reference: Counts) -> Estimator:

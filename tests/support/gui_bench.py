@@ -25,7 +25,7 @@ from drivers.interface import (
     Stage,
 )
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.geometry import Field, Lattice
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
@@ -220,7 +220,7 @@ def make_measurement(
     coefficients = np.zeros((*shape, 3, 2))
     if displacement_px is not None:
         coefficients[:, :, 0] = displacement_px
-    coefficients[outcome != Outcome.CONVERGED] = np.nan
+    coefficients[outcome != LensletStatus.CONVERGED] = np.nan
     displacement = Displacement(
         LegendreModes(3),
         coefficients,

@@ -15,7 +15,7 @@ from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import KnownCamera
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
 from simulated_devices.optics.forward_model import ForwardModel, phase_only

@@ -9,11 +9,11 @@ import svwfs
 
 
 def run_examples() -> doctest.TestResults:
-    finder, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
+    background_estimator, runner = doctest.DocTestFinder(recurse=False), doctest.DocTestRunner()
     known: dict[str, Any] = {}
     for name in ("", *svwfs.__all__):
         given = getattr(svwfs, name) if name else svwfs
-        for test in finder.find(given, name or "svwfs", module=False, globs=known):
+        for test in background_estimator.find(given, name or "svwfs", module=False, globs=known):
             runner.run(test, clear_globs=False)
             known = known or test.globs
     return runner.summarize()

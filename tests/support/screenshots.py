@@ -22,11 +22,11 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.theme import apply_theme, use_theme
 from app.results.player import Player
-from app.results.view_analysis import Quantity
+from app.results.view_maps import Quantity
 from support.paths import DOCS, ROOT
 from support.window_tools import tabs, use_font
 
@@ -52,7 +52,7 @@ class Photographer:
         window = self._open()
         self._save("no_bench", window)
         window.recording_bar.recordings_folder = runs
-        window.open(Access(lambda: Acquisition(bench, open_devices)))
+        window.open(InstrumentFactory(lambda: Acquisition(bench, open_devices)))
         self._wait(lambda: _is_live(window))
         self._wait(lambda: _is_corrected(window))
         self._save("live", window)
@@ -79,7 +79,7 @@ class Photographer:
 
     def _replay(self, run: Path) -> None:
         player, replayed = Player(run), self._open()
-        replayed.open(Access(player.acquisition, player.begin, player))
+        replayed.open(InstrumentFactory(player.acquisition, player.begin, player))
         self._wait(lambda: _is_live(replayed))
         replayed.replay.slider.setValue(20)
         self._save("replay", replayed)

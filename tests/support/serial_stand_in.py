@@ -13,8 +13,8 @@ from simulated_devices.clock import ManualClock
 from support.light_contract import LightFaultContract
 from support.light_log import LightLog
 from support.light_storm import LightStorm
-from support.wires.pseudo_terminal import PtyServer
-from support.wires.serial import FaultKind, LineDevice, LineFault, MemoryPort
+from support.stand_ins.pseudo_terminal import PtyServer
+from support.stand_ins.serial import FaultKind, LineDevice, LineFault, MemoryPort
 
 
 def wire_to(device: LineDevice, clock: ManualClock) -> Wire:

@@ -20,7 +20,7 @@ from pytestqt.qtbot import QtBot
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import FRAMES
 from reconstruction.arrays import Floats
@@ -64,7 +64,7 @@ def windows() -> Iterator[MakeWindow]:
     ) -> MainWindow:
         spare, begin = iter(cameras), partial(start_up, frames=frames)
         window = MainWindow(saved=saved)
-        window.controller.use(Access(lambda: Acquisition(BENCH, opener(next(spare))), begin), lambda: None)
+        window.controller.use(InstrumentFactory(lambda: Acquisition(BENCH, opener(next(spare))), begin), lambda: None)
         if resized:
             window.resize(1000, 760)
         window.show()

@@ -20,11 +20,11 @@ from zmq.utils.monitor import recv_monitor_message
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.instrument import Condition, Instrument, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Hello, Notice, SharedObject, Sign, State
-from app.acquisition.remote.outbox import ANSWER_S, Outbox
-from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Heartbeat, Hello, NewFrame, SharedObject, State
+from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
+from app.acquisition.remote.serialization import Encoded, unpacked
 from app.acquisition.running_instrument import Activity, RunningInstrument
-from app.acquisition.wake import Wake
+from app.acquisition.wakeup_pipe import WakeupPipe
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
@@ -108,7 +108,7 @@ class Connection:
         self._is_gone = False  # whether the instrument's process is
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
-        self._outbox = Outbox(lambda: self.error or RunError(_CLOSED))
+        self._pending_commands = PendingCommands(lambda: self.error or RunError(_CLOSED))
         self._arrivals = Arrivals()
         self._pause_s = 0.0 if sinks else _SHOWN_S
         self._frames = RemoteFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
@@ -116,7 +116,7 @@ class Connection:
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._wake = Wake()
+        self._wakeup = WakeupPipe()
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
 
@@ -231,7 +231,7 @@ class Connection:
     def begin_close(self) -> None:
         """Leave; the instrument goes on."""
         self._closing.set()
-        self._wake.notify()
+        self._wakeup.notify()
 
     def close(self, timeout_s: float | None = None) -> None:
         """Leave, and wait for that."""
@@ -240,15 +240,15 @@ class Connection:
         self._frames.join(timeout_s)
 
     def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
-        future = self._outbox.add(request, arguments, named)
-        self._wake.notify()
+        future = self._pending_commands.add(request, arguments, named)
+        self._wakeup.notify()
         return future
 
     def _note(self, measurement: Measurement) -> None:
         self.timings.note("to_result", measurement.latency_s)
 
     def _say(self, message: object) -> None:
-        self._say_packed(Packed(message).message())
+        self._say_packed(Encoded(message).message())
 
     def _say_packed(self, message: bytearray) -> None:
         with suppress(zmq.Again):  # the instrument stands still
@@ -257,7 +257,7 @@ class Connection:
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for each in (self._socket, self._wake, self._monitor):
+        for each in (self._socket, self._wakeup, self._monitor):
             poller.register(each, zmq.POLLIN)
         try:
             self._reach()
@@ -265,18 +265,18 @@ class Connection:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
             self._say_outgoing()
-            self._say(Sign.BYE)
+            self._say(Heartbeat.BYE)
         except RunError as error:
             self._ended = error
         except Exception as error:
             self._ended = error
             raise
         finally:
-            self._outbox.close(self._ended or RunError(_CLOSED))
+            self._pending_commands.close(self._ended or RunError(_CLOSED))
             self._has_state.set()
             self._socket.disable_monitor()
             self._context.destroy(linger=_LINGER_MS)
-            self._wake.close()
+            self._wakeup.close()
             self._frames.close()
 
     def _reach(self) -> None:
@@ -286,11 +286,11 @@ class Connection:
         self._say(Hello(self.name, self._takes_control, self._pause_s))
 
     def _say_outgoing(self) -> None:
-        for message in self._outbox.take():
+        for message in self._pending_commands.take():
             self._say_packed(message)
 
     def _turn(self, ready: dict[Any, int]) -> None:
-        self._wake.clear()
+        self._wakeup.clear()
         self._say_outgoing()
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
@@ -310,8 +310,8 @@ class Connection:
                 f"the instrument of process {self.address.process} does not answer: stop it, and start it again"
             )
         if now_s > self._said_s + _ALIVE_S:
-            self._say(Sign.ALIVE)
-        self._outbox.give_up_lost()
+            self._say(Heartbeat.ALIVE)
+        self._pending_commands.give_up_lost()
 
     def _how_it_ended(self) -> str:
         return "has ended"
@@ -320,16 +320,16 @@ class Connection:
         match message:
             case State():
                 self._take_state(message)
-            case Notice():
+            case NewFrame():
                 self._frames.announce(message)
             case SharedObject():
                 self._arrivals.keep(message)
             case Accepted():
-                self._outbox.note_accepted(message.number)
+                self._pending_commands.note_accepted(message.number)
             case Answer():
                 self._frames.outdate(message.count)
-                self._outbox.note_answer(message)
-            case Sign():  # it has forgotten this client
+                self._pending_commands.note_answer(message)
+            case Heartbeat():  # it has forgotten this client
                 self._say(Hello(self.name, False, self._pause_s))
 
     def _take_state(self, state: State) -> None:

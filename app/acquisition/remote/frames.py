@@ -15,9 +15,9 @@ from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
-from app.acquisition.remote.messages import Notice, RingRecord
+from app.acquisition.remote.messages import NewFrame, RingRecord
 from app.acquisition.remote.ring import RingReader
-from app.acquisition.remote.wire import Absent, unpacked
+from app.acquisition.remote.serialization import Absent, unpacked
 from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator
@@ -25,7 +25,7 @@ from app.measurement.measurement import Measurement
 from app.progress import run_in_thread
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 
 _WAIT_S = 0.1
@@ -47,7 +47,7 @@ class RemoteFrames:
         self._preparation, self._looking_up = lru_cache(_ESTIMATORS)(_prepare), threading.Lock()
         self.overtaken = 0  # records that the instrument replaced before, or while, they were read here
         self._missed, self._counting = bytearray(), threading.Lock()  # 1 for each of them, by its count
-        self._notice, self._has_news = Notice("", 0), threading.Condition()
+        self._new_frame, self._has_news = NewFrame("", 0), threading.Condition()
         self._outdated = 0  # count of a record
         self._closing, self._delivering = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._work, name="connection frames", daemon=True)
@@ -58,12 +58,12 @@ class RemoteFrames:
 
         While an estimator is prepared, which takes seconds, the frames that come are read ahead.
         """
-        return self._each(_Follower(self._note_missed, self._notice.count, is_every_read=True))
+        return self._each(_Follower(self._note_missed, self._new_frame.count, is_every_read=True))
 
-    def announce(self, notice: Notice) -> None:
+    def announce(self, new_frame: NewFrame) -> None:
         """Note that there is a newer record."""
         with self._has_news:
-            self._notice = notice
+            self._new_frame = new_frame
             self._has_news.notify_all()
 
     def outdate(self, count: int) -> None:
@@ -86,9 +86,9 @@ class RemoteFrames:
             # Another thread of BLAS would take processor time from the instrument by waiting busily.
             with one_blas_thread(), closing(_Follower(self._note_missed)) as follower:
                 while not self._closing.is_set():
-                    notice = self._notice
-                    if (record := self._next(follower, notice)) is None:
-                        self._wait_for_news(notice)
+                    new_frame = self._new_frame
+                    if (record := self._next(follower, new_frame)) is None:
+                        self._wait_for_news(new_frame)
                     else:
                         due_s = time.monotonic() + self._pause_s
                         self._deliver(record, follower.count)
@@ -100,17 +100,17 @@ class RemoteFrames:
         ahead, most = deque[Measurement](), 1
         with closing(follower):
             while True:
-                notice, is_over = self._notice, self._closing.is_set()
+                new_frame, is_over = self._new_frame, self._closing.is_set()
                 if ahead and (is_over or self._is_prepared(ahead[0])):
                     yield self._solved(ahead.popleft())
-                elif len(ahead) < most and (record := self._next(follower, notice)) is not None:
+                elif len(ahead) < most and (record := self._next(follower, new_frame)) is not None:
                     if not record.is_shown_only:
                         ahead.append(record.measurement)
                         most = int(_AHEAD_BYTES / record.measurement.frame.pixels.nbytes)
                 elif is_over and not ahead:
                     return
                 else:
-                    self._wait_for_news(notice)
+                    self._wait_for_news(new_frame)
 
     def _note_missed(self, count: int) -> None:
         """Count a record that a reader has missed, unless another one has, too."""
@@ -119,14 +119,14 @@ class RemoteFrames:
             self.overtaken += not self._missed[count]
             self._missed[count] = 1
 
-    def _wait_for_news(self, notice: Notice) -> None:
+    def _wait_for_news(self, new_frame: NewFrame) -> None:
         """Wait for another notice; not for long, as an absent object comes without one."""
         with self._has_news:
-            self._has_news.wait_for(lambda: self._notice is not notice or self._closing.is_set(), _WAIT_S)
+            self._has_news.wait_for(lambda: self._new_frame is not new_frame or self._closing.is_set(), _WAIT_S)
 
-    def _next(self, follower: "_Follower", notice: Notice) -> RingRecord | None:
+    def _next(self, follower: "_Follower", new_frame: NewFrame) -> RingRecord | None:
         """The record that a follower reads next; None if it is not there yet, or lacks an object."""
-        if not notice.ring or (found := follower.next(notice.ring)) is None:
+        if not new_frame.ring or (found := follower.next(new_frame.ring)) is None:
             return None
         count, body = found
         try:

@@ -9,7 +9,7 @@ from enum import Enum
 from typing import Any
 
 from app.acquisition.instrument import ProcessState, Status
-from app.acquisition.remote.wire import Absent
+from app.acquisition.remote.serialization import Absent
 from app.acquisition.running_instrument import Activity
 from app.bench.config import Bench
 from app.errors import InputError, RunError
@@ -62,7 +62,7 @@ def held_off(message: Any) -> Any:
     return replace(message, may_light=False) if isinstance(message, Command) else message
 
 
-class Sign(Enum):
+class Heartbeat(Enum):
     """A message that is one word."""
 
     ALIVE = "a client lives and reads"
@@ -95,7 +95,7 @@ class State:
 
 
 @dataclass(frozen=True, slots=True)
-class Notice:
+class NewFrame:
     """The count of the newest record, in the ring of a name."""
 
     ring: str

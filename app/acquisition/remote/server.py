@@ -26,19 +26,19 @@ from app.acquisition.remote.messages import (
     Accepted,
     Answer,
     Command,
+    Heartbeat,
     Hello,
-    Notice,
+    NewFrame,
     RingRecord,
     SharedObjects,
-    Sign,
     State,
     held_off,
     portable_error,
     watching,
 )
 from app.acquisition.remote.ring import RingWriter
-from app.acquisition.remote.wire import Packed, unpacked
-from app.acquisition.wake import Wake
+from app.acquisition.remote.serialization import Encoded, unpacked
+from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
@@ -114,10 +114,10 @@ class Server:
         self._sent_s, self._timings_s = -math.inf, -math.inf
         self._heard_s = math.inf  # when messages were heard last
         self._timings: dict[TimedStage, StageTimes] = {}
-        self._noticed = self._notice()
+        self._announced_frame = self._new_frame()
         self._is_over = False
         self._fault: Exception | None = None  # of this end
-        self._wake = Wake()
+        self._wakeup = WakeupPipe()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.SNDHWM, 0)  # no answer is dropped; news are bounded by `_BEHIND_S`
@@ -137,11 +137,11 @@ class Server:
         Raises what ended it, if it was not asked to.
         """
         poller = zmq.Poller()
-        for each in (self._socket, self._wake):
+        for each in (self._socket, self._wakeup):
             poller.register(each, zmq.POLLIN)
         end_clients = partial(self._tell_state, is_over=True)
         with ExitStack() as at_end:  # each step runs, whatever becomes of the others
-            for step in (self._close_rings, self._wake.close, self._context.destroy, end_clients, self._turn):
+            for step in (self._close_rings, self._wakeup.close, self._context.destroy, end_clients, self._turn):
                 at_end.callback(step)
             at_end.callback(self.acquisition.close)
             at_end.callback(end_clients)  # the light is off or going off: clients need not wait for the rest
@@ -152,7 +152,7 @@ class Server:
                 self.address.announce()
                 while self.acquisition.is_alive and not self._is_over:
                     poller.poll(_TICK_MS)
-                    self._wake.clear()
+                    self._wakeup.clear()
                     self._turn()
             except Exception as error:
                 self._fault = error
@@ -167,7 +167,7 @@ class Server:
     def end(self) -> None:
         """Let `run` end, from any thread."""
         self._is_over = True
-        self._wake.notify()
+        self._wakeup.notify()
 
     def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
         """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
@@ -190,16 +190,16 @@ class Server:
                 return
             lean = replace(measurement, wavefront=None)
             record = RingRecord(lean, is_shown_only)
-            packed = Packed(record, self._shared_objects.number)
-            if self._ring is None or not self._ring.has_room_for(packed):
+            encoded = Encoded(record, self._shared_objects.number)
+            if self._ring is None or not self._ring.has_room_for(encoded):
                 if self._ring is not None:
                     self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
                     while len(self._older_rings) > 1:
                         self._older_rings.popleft().close()
-                self._ring = RingWriter(int(_SPARE * packed.nbytes), self._ring_file, count=number - 1)
-            self._ring.write(packed, number)
+                self._ring = RingWriter(int(_SPARE * encoded.nbytes), self._ring_file, count=number - 1)
+            self._ring.write(encoded, number)
             self._written_s = time.monotonic()
-        self._wake.notify()
+        self._wakeup.notify()
 
     def _turn(self) -> None:
         arrived = self._arrived([])
@@ -215,9 +215,9 @@ class Server:
         self._write_if_due()
         while self._done:
             self._answer(*self._done.popleft())
-        if (notice := self._notice()) != self._noticed:
-            self._noticed = notice
-            self._tell_all(notice)
+        if (new_frame := self._new_frame()) != self._announced_frame:
+            self._announced_frame = new_frame
+            self._tell_all(new_frame)
         if now_s > self._sent_s + _STATE_S:
             self._tell_state()
 
@@ -256,10 +256,10 @@ class Server:
         elif isinstance(message, Command) and message.request == "switch_light_off":
             self._execute(identity, message)  # also of a client that was forgotten
         elif identity not in self._clients:  # forgotten, maybe while it was stopped
-            self._tell(identity, Sign.FORGOTTEN)
+            self._tell(identity, Heartbeat.FORGOTTEN)
         elif isinstance(message, Command):
             self._execute(identity, message)
-        elif message is Sign.BYE:
+        elif message is Heartbeat.BYE:
             self._forget(identity)
         if (client := self._clients.get(identity)) is not None:
             client.heard_s = now_s
@@ -284,7 +284,7 @@ class Server:
 
         def note(answer: Future[Any]) -> None:
             self._done.append((identity, command.number, answer))
-            self._wake.notify()
+            self._wakeup.notify()
 
         future.add_done_callback(note)
 
@@ -368,28 +368,28 @@ class Server:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)
 
-    def _tell_all(self, message: State | Notice) -> None:
-        packed, now_s = Packed(message, self._shared_objects.number).message(), time.monotonic()
+    def _tell_all(self, message: State | NewFrame) -> None:
+        encoded, now_s = Encoded(message, self._shared_objects.number).message(), time.monotonic()
         for identity, client in self._clients.items():
             client.is_behind |= now_s > client.heard_s + _BEHIND_S
             if not client.is_behind:
                 self._tell_objects(identity)
-                self._socket.send_multipart([identity, packed])
+                self._socket.send_multipart([identity, encoded])
 
     def _tell_news(self, identity: bytes) -> None:
         """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
-        self._tell(identity, self._notice())
+        self._tell(identity, self._new_frame())
         self._tell(identity, self._present())
 
-    def _notice(self) -> Notice:
-        return Notice("", 0) if (ring := self._ring) is None else Notice(ring.name, ring.count)
+    def _new_frame(self) -> NewFrame:
+        return NewFrame("", 0) if (ring := self._ring) is None else NewFrame(ring.name, ring.count)
 
     def _tell(self, identity: bytes, message: object) -> None:
         """Send a message; only states and notices refer to objects that travel by themselves."""
-        packed = Packed(message, self._shared_objects.number) if isinstance(message, State) else Packed(message)
-        if isinstance(message, State | Notice):
+        encoded = Encoded(message, self._shared_objects.number) if isinstance(message, State) else Encoded(message)
+        if isinstance(message, State | NewFrame):
             self._tell_objects(identity)
-        self._socket.send_multipart([identity, packed.message()])
+        self._socket.send_multipart([identity, encoded.message()])
 
     def _tell_objects(self, identity: bytes) -> None:
         """Send the objects that were numbered since the last time."""

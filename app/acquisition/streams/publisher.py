@@ -11,7 +11,7 @@ import zmq
 
 from app.acquisition.streams.guard import ConnectionGuard, limit
 from app.acquisition.streams.messages import TOPICS, message
-from app.acquisition.wake import Wake
+from app.acquisition.wakeup_pipe import WakeupPipe
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import Measurement
@@ -31,7 +31,7 @@ class Publisher:
         self._bench = bench
         self._waiting: deque[tuple[int, Measurement]] = deque(maxlen=_WAITING)
         self._closing = threading.Event()
-        self._wake = Wake()
+        self._wakeup = WakeupPipe()
         self._sequence = 0
         self._subscriptions: set[bytes] = set()
         self._context = zmq.Context()
@@ -44,7 +44,7 @@ class Publisher:
             self._socket.bind(endpoint)
         except zmq.ZMQError as error:
             self._context.destroy(linger=0)
-            self._wake.close()
+            self._wakeup.close()
             raise RunError(
                 f"nothing can be published at {endpoint}: {zmq.strerror(error.errno or 0)};"
                 " change streams.port or streams.address"
@@ -57,26 +57,26 @@ class Publisher:
         """Queue a measurement; returns at once."""
         self._sequence += 1
         self._waiting.append((self._sequence, measurement))
-        self._wake.notify()
+        self._wakeup.notify()
 
     def close(self) -> None:
         """Send the queued measurements and close the port."""
         self._closing.set()
-        self._wake.notify()
+        self._wakeup.notify()
         self._thread.join()
         self._socket.disable_monitor()
         self._guard.join()
         self._context.destroy()
-        self._wake.close()
+        self._wakeup.close()
 
     def _work(self) -> None:
         poller = zmq.Poller()
-        for each in (self._socket, self._wake):
+        for each in (self._socket, self._wakeup):
             poller.register(each, zmq.POLLIN)
         is_last = False
         while not is_last:
             poller.poll()
-            self._wake.clear()
+            self._wakeup.clear()
             is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
             self._read_subscriptions()
             while self._waiting:

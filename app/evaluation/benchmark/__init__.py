@@ -20,7 +20,7 @@ from app.run_facts import machine_facts, versions
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.geometry import Lattice, centered_steps
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import FIELD_MODES, ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.zonal import ZonalSolution

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from app.acquisition.remote.own_instrument import OwnConnection
-from app.acquisition.start_up import UnattendedRun
+from app.acquisition.start_up import HeadlessRun
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.measurement.measurement import FrameTotals
@@ -143,7 +143,7 @@ class Span:
         return self.times["draw"].count / self.seconds
 
 
-class MeasuredRun(UnattendedRun):
+class MeasuredRun(HeadlessRun):
     """One run of an instrument in a process of its own, which the caller closes."""
 
     def __init__(

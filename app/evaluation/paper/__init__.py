@@ -31,7 +31,7 @@ from drivers.interface import BadValue
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import nominal_lattice
-from reconstruction.pipeline import OwnMethods, OwnRegistration
+from reconstruction.reconstructor import OwnMethods, OwnRegistration
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.camera import SimulatedCamera

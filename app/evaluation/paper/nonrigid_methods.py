@@ -27,7 +27,7 @@ from scipy import ndimage
 from scipy.interpolate import make_interp_spline
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration.itk_affine import align_affine, load_simple_itk, map_lenslets, mean_squares, misfit
@@ -75,7 +75,7 @@ class _NonRigid(ABC):
             covariance=diagonal_covariance(self._variance * residual_rms[:, None, None] ** 2),
             residual_rms=residual_rms / reference.contrast.max(),
             contrast=subimages.std(axis=(1, 2)),
-            faults={Outcome.DIVERGED: ~found, Outcome.SATURATED: reference.touched(saturated)},
+            faults={LensletStatus.DIVERGED: ~found, LensletStatus.SATURATED: reference.touched(saturated)},
         )
 
     @abstractmethod

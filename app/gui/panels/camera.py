@@ -8,7 +8,7 @@ from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QApplication, QMenu
 
 from app.acquisition.instrument import Status
-from app.gui.panels.panel import Entries, Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Entries, Panel, Request
 from app.gui.widgets import camera_image, theme
 from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.camera_image import CameraImage, DrawingView, Measuring, Picture, Segments
@@ -21,7 +21,7 @@ from app.measurement.measurement import Measurement
 from app.progress import counted
 from app.results.frame_statistics import FrameStatistics, MeasuredPart, frame_counts
 from drivers.interface import Frame
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
@@ -60,7 +60,7 @@ class CameraPanel(Panel):
     title, dock_area, has_own_thread = "Camera", "left", True
     lenslet_clicked = pyqtSignal(int, int)  # row and column
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._frame: Frame | None = None
         self._displacement: Displacement | None = None
@@ -132,7 +132,7 @@ class CameraPanel(Panel):
         }
 
     def show_liveness(self) -> None:
-        shown = self.shown.liveness
+        shown = self.shown.data_freshness
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
             self.badge.setVisible(bool(shown.badge))
@@ -375,7 +375,7 @@ class CameraPanel(Panel):
         self._graphics.setToolTip(_HINT)
         if displacement is None or lenslet is None:
             return text
-        name, reason = "row {}, column {}".format(*lenslet), Outcome(int(displacement.outcome[lenslet])).reason
+        name, reason = "row {}, column {}".format(*lenslet), LensletStatus(int(displacement.outcome[lenslet])).reason
         if not reason:
             return f"{text}    lenslet {name}"
         self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")

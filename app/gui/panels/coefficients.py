@@ -9,7 +9,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem
 
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice, Toggle
 from app.gui.widgets.copies import add_copy_menu, copy_text
@@ -27,7 +27,7 @@ class CoefficientsPanel(Panel):
     title = "Coefficients"
     pinned = pyqtSignal(str)  # name of the pinned coefficient; empty: none
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._found: ModeCoefficients | None = None
         self._mapped: int | None = None

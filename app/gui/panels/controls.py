@@ -7,11 +7,11 @@ from typing import get_args
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
 
+from app.acquisition.dark_reference_store import Validity
 from app.acquisition.instrument import Status
-from app.acquisition.kept_averages import Validity
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.config import AUTOMATIC, Bench
-from app.gui.panels.panel import Entries, Panel, Shown
+from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
 from app.gui.widgets.fields import InputField, NumberField
@@ -55,7 +55,7 @@ class ControlsPanel(Panel):
     title, dock_area = "Controls", "strip"
     requested = pyqtSignal(str, object)  # name of a setting or routine, and the wanted value
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._is_running, self._has_devices = False, True
         self._make_devices()

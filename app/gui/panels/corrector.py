@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.layouts import column, row
@@ -28,7 +28,7 @@ class CorrectorPanel(Panel):
 
     title, has_own_thread = "Corrector", True
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         choices = [(_name(one), one) for one in _CORRECTORS]
         self.corrector = Choice("Shapes that the corrector can take over its footprint", choices)

@@ -5,7 +5,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QColor
 
-from app.gui.panels.panel import Panel, Shown
+from app.gui.panels.panel import DisplayState, Panel
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Plot
@@ -22,7 +22,7 @@ class HistogramPanel(Panel):
     title = "Histogram"
     levels_chosen = pyqtSignal(float, float)
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         keys = ((percent(NEARLY_FULL), theme.AMBER), ("clipped", theme.RED))
         self.plot = Plot("Histogram", "counts", keys, widest="10000")

@@ -11,7 +11,7 @@ from PyQt6.QtGui import QFontMetrics, QShowEvent
 from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.panels.panel import Entries, Panel, Request, Shown, Verdict
+from app.gui.panels.panel import DisplayState, Entries, Panel, Request, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle, close_button
 from app.gui.widgets.copies import ask_file
@@ -105,7 +105,7 @@ class HistoryPanel(Panel):
 
     title, has_own_thread = "History", True
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self.history, self._watch = History(), LimitWatch()
         self._files = FileWork(self, self.warned.emit)
@@ -174,7 +174,7 @@ class HistoryPanel(Panel):
         """Tell what has crossed a limit, once; return whether all values are within theirs."""
         if not limits:
             return Verdict()
-        if self.shown.liveness.is_grey or self._newest is None:
+        if self.shown.data_freshness.is_grey or self._newest is None:
             return Verdict(NOTHING, "The frame is not live")
         time_s, values = self._newest
         crossed, back = self._watch.follow(time_s, values, limits)
@@ -287,7 +287,7 @@ def _plot(bottom: str | None) -> Plot:
 class LimitLine(NumberLine):
     """A number with its unit; empty if there is no limit, red if it is no number."""
 
-    def __init__(self, shown: Shown, series: str, key: str) -> None:
+    def __init__(self, shown: DisplayState, series: str, key: str) -> None:
         super().__init__()
         self.setObjectName(key)  # under which its text is kept between two starts
         self.setMinimumWidth(110)  # px
@@ -319,7 +319,7 @@ class LimitsForm(QDialog):
 
     changed = pyqtSignal()
 
-    def __init__(self, shown: Shown, series: tuple[str, ...], parent: QWidget) -> None:
+    def __init__(self, shown: DisplayState, series: tuple[str, ...], parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Limits of the history")
         self._shown, self._pinned, self._pinned_label = shown, "", label(_PINNED)

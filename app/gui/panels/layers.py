@@ -8,7 +8,7 @@ import numpy as np
 from PyQt6.QtCore import QSignalBlocker
 
 from app.bench.config import Bench
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.fields import NumberField
@@ -40,7 +40,7 @@ class LayersPanel(Panel):
 
     title, has_own_thread = "Layers", True
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._bench: Bench | None = None
         self._ratio = 0.0  # of the layer found last, or of the known one

@@ -5,14 +5,14 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QWidget
 
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.presentation import AdaptiveScale, diverging, linear, number, percent, with_error
 from app.gui.widgets.texts import ElidedLabel, label
 from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
-from app.results.view_analysis import LensletInspection, inspect_lenslet
-from reconstruction.displacement import Outcome
+from app.results.view_maps import LensletInspection, inspect_lenslet
+from reconstruction.displacement import LensletStatus
 
 _GAP_PX = 10  # between two images
 
@@ -53,7 +53,7 @@ class LensletPanel(Panel):
 
     title = "Lenslet"
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self.lenslet: tuple[int, int] | None = None  # row and column
         self._top, self._most = AdaptiveScale(), AdaptiveScale()  # of light and residual, counts
@@ -87,7 +87,7 @@ class LensletPanel(Panel):
         self.select(None)
 
     def show_liveness(self) -> None:
-        shown = self.shown.liveness
+        shown = self.shown.data_freshness
         if shown.badge != self._badge:
             self._badge = shown.badge
             self._show_state(self._state)
@@ -113,8 +113,8 @@ class LensletPanel(Panel):
             return
         reason = found.outcome.reason
         self._show_state(f"lost, {reason}" if reason else "converged")
-        self._grey(is_grey=self.shown.liveness.is_grey)
-        self.exclude.setText("Use again" if found.outcome is Outcome.EXCLUDED else "Exclude")
+        self._grey(is_grey=self.shown.data_freshness.is_grey)
+        self.exclude.setText("Use again" if found.outcome is LensletStatus.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
         light = linear(0.0, self._top.follow(top))
         scales, images = [light] * 4, (found.reference, found.frame, found.fitted, found.residual)

@@ -19,7 +19,7 @@ Entries = tuple[tuple[str, str, Act] | None, ...]  # text, key and action, or a 
 Check = Callable[[], None]  # raises when the window closes
 
 
-class Liveness(NamedTuple):
+class DataFreshness(NamedTuple):
     """Differences of a shown frame from a live one; empty if there are none."""
 
     badge: str = ""
@@ -34,7 +34,7 @@ class Verdict(NamedTuple):
     reason: str = ""  # a line for each limited quantity
 
 
-class Shown(QObject):
+class DisplayState(QObject):
     """State shared by the panels: newest measurement, chosen view and unit, and whether they are live."""
 
     view_chosen = pyqtSignal()
@@ -52,7 +52,7 @@ class Shown(QObject):
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
-        self.liveness, self.problem = Liveness(), ""  # the problem: why there may be no wavefront
+        self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()
         self.has_open_tabs = True
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
@@ -103,7 +103,7 @@ class Panel(QWidget):
     informed = pyqtSignal(str)  # what was done
     front_requested = pyqtSignal()
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__()
         self.shown = shown
         self.header: QWidget | None = None  # in place of the title

@@ -9,7 +9,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
@@ -27,7 +27,7 @@ class QualityPanel(Panel):
 
     title = "Quality"
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self.mtf = MtfPlot()
         self.structure = StructurePlot()

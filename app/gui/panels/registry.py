@@ -10,7 +10,7 @@ from app.gui.panels.histogram import HistogramPanel
 from app.gui.panels.history import HistoryPanel
 from app.gui.panels.layers import LayersPanel
 from app.gui.panels.lenslet import LensletPanel
-from app.gui.panels.panel import Shown
+from app.gui.panels.panel import DisplayState
 from app.gui.panels.quality import QualityPanel
 from app.gui.panels.transmission import TransmissionPanel
 from app.gui.panels.wavefronts import WavefrontPanel
@@ -32,7 +32,7 @@ class Panels(NamedTuple):
     controls: ControlsPanel
 
 
-def make_panels(shown: Shown) -> Panels:
+def make_panels(shown: DisplayState) -> Panels:
     """Make all panels, and connect those that follow each other."""
     made = Panels(*(kind(shown) for kind in get_type_hints(Panels).values()))
     made.camera.lenslet_clicked.connect(made.lenslet.inspect)

@@ -2,12 +2,12 @@
 
 import math
 
-from app.gui.panels.panel import Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets.layouts import column
 from app.gui.widgets.presentation import linear, number
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
-from app.results.view_analysis import TransmissionMaps, transmission_maps
+from app.results.view_maps import TransmissionMaps, transmission_maps
 
 _STEP = 0.1  # of the ends of the colour scale
 
@@ -17,7 +17,7 @@ class TransmissionPanel(Panel):
 
     title = "Transmission"
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self.grid = ViewGrid((80, 50), is_captioned=False)
         self.grid.setToolTip(

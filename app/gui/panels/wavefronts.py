@@ -13,7 +13,7 @@ from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.files import check_outputs
-from app.gui.panels.panel import Entries, Panel, Request, Shown
+from app.gui.panels.panel import DisplayState, Entries, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file, write_picture
@@ -34,7 +34,7 @@ from app.results.shown_wavefront import (
     Unit,
     WavefrontDisplay,
 )
-from app.results.view_analysis import Quantity, QuantityMaps, ViewNumbers, quantity_maps, view_numbers
+from app.results.view_maps import Quantity, QuantityMaps, ViewNumbers, quantity_maps, view_numbers
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.quality.image_quality import aligned
@@ -48,7 +48,7 @@ class WavefrontPanel(Panel):
 
     title, dock_area = "Wavefronts", "right"
 
-    def __init__(self, shown: Shown) -> None:
+    def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._newest: Wavefront | None = None  # as measured
         self._display = WavefrontDisplay()
@@ -109,7 +109,7 @@ class WavefrontPanel(Panel):
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
 
     def show_liveness(self) -> None:
-        badge, reason, is_grey = self.shown.liveness
+        badge, reason, is_grey = self.shown.data_freshness
         self.grid.show_stale(is_stale=is_grey)
         self.stale.setText(f"{badge}: {reason}" if badge else "")
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from app.gui.panels.panel import Check, Panel, Request, Shown
+from app.gui.panels.panel import Check, DisplayState, Panel, Request
 from app.gui.widgets.timers import REFRESH_MS, timer
 from reconstruction.runtime.threads import one_blas_thread
 
@@ -73,7 +73,7 @@ class Analyses(QObject):
 
     failed = pyqtSignal(str)
 
-    def __init__(self, panels: Iterable[Panel], shown: Shown) -> None:
+    def __init__(self, panels: Iterable[Panel], shown: DisplayState) -> None:
         super().__init__(shown)
         self._shown, self.is_closing = shown, False
         thread = partial(ThreadPoolExecutor, 1, thread_name_prefix="analysis")

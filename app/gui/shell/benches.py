@@ -20,7 +20,7 @@ from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.menus import RecentFiles, listing_menu
 from app.gui.shell.settings_dialog import BENCH_FILES, SettingsDialog, ask_bench_file
-from app.gui.shell.wording import as_sentence
+from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.file_work import FileWork, answer

@@ -10,7 +10,7 @@ from app.acquisition.instrument import DeviceSetting, Instrument
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller, SettingsControl
-from app.gui.shell.wording import exposure_found, lattice_found, linearity_found
+from app.gui.shell.status_text import exposure_found, lattice_found, linearity_found
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen

@@ -18,7 +18,7 @@ from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.timers import REFRESH_MS
 from app.measurement.routines import Cancelled
@@ -47,7 +47,7 @@ class Controller(QObject):
     def __init__(self, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
-        self._access: Access | None = None
+        self._access: InstrumentFactory | None = None
         self.acquisition: RunningInstrument | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
@@ -137,7 +137,7 @@ class Controller(QObject):
     def is_idle(self) -> bool:
         return all(future.done() for future, _, _ in self._pending)
 
-    def use(self, access: Access, meanwhile: Callable[[], object]) -> None:
+    def use(self, access: InstrumentFactory, meanwhile: Callable[[], object]) -> None:
         """Close the devices, as `close` does; use this access at the next connection."""
         self.close(meanwhile)
         self._access = access

@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.gui.shell.wording import area_taken
+from app.gui.shell.status_text import area_taken
 from app.gui.widgets.buttons import Button, Choice, close_button
 from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.layouts import fill_dialog, row

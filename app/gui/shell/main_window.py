@@ -16,9 +16,8 @@ from app.acquisition.running_instrument import CLOSING_S, Activity, RunningInstr
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.gui.panels.panel import Entries, Shown
+from app.gui.panels.panel import DisplayState, Entries
 from app.gui.panels.registry import make_panels
-from app.gui.shell.access import Access
 from app.gui.shell.analyses import Analyses
 from app.gui.shell.base_window import BaseWindow
 from app.gui.shell.benches import Benches
@@ -27,13 +26,14 @@ from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks
 from app.gui.shell.help import help_entries
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
-from app.gui.shell.wording import Situation, advice, left_behind, light_when_closing, liveness, way_out
+from app.gui.shell.status_text import AlarmTracker, advice, data_freshness, left_behind, light_when_closing, way_out
 from app.gui.widgets import theme
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork, answer
@@ -65,9 +65,9 @@ class MainWindow(BaseWindow):
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
-        self._situation = Situation()
+        self._alarm_tracker = AlarmTracker()
 
-        self.shown = Shown(self)
+        self.shown = DisplayState(self)
         self.panels = make_panels(self.shown)
         self.controls = self.panels.controls
         self.status_line = StatusLine()
@@ -82,7 +82,11 @@ class MainWindow(BaseWindow):
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
         self.benches = Benches(
-            self, lambda bench: self.open(Access(partial(make_for, bench))), self.controller, self.settings, saved
+            self,
+            lambda bench: self.open(InstrumentFactory(partial(make_for, bench))),
+            self.controller,
+            self.settings,
+            saved,
         )
         self._connect()
         fill_menus(self, self._menus())
@@ -196,7 +200,7 @@ class MainWindow(BaseWindow):
         self.update_text()
         self._timer.start()
 
-    def open(self, access: Access) -> None:
+    def open(self, access: InstrumentFactory) -> None:
         """Close the devices and connect others.
 
         The user is asked first if a recording is under way, or the light must be switched off by hand. If a device
@@ -277,7 +281,7 @@ class MainWindow(BaseWindow):
 
     def show_status(self, status: Status) -> None:
         self._status = status
-        self._situation.follow(status)
+        self._alarm_tracker.follow(status)
         attached = ", attached" * self.controller.is_attached
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
         self.shown.reconstruction = status.bench.reconstruction
@@ -293,8 +297,8 @@ class MainWindow(BaseWindow):
         acquisition, status, shown = self.controller.acquisition, self._status, self.shown
         measurement = shown.measurement
         shown.status = self.controller.status
-        alarm = self._situation.alarm(status, self._activity, measurement)
-        shown.liveness = liveness(status, self._failure, self._activity, measurement)
+        alarm = self._alarm_tracker.alarm(status, self._activity, measurement)
+        shown.data_freshness = data_freshness(status, self._failure, self._activity, measurement)
         shown.problem = self._failure or self._activity.text or alarm
         for panel in self.panels:
             panel.show_numbers()

@@ -18,7 +18,7 @@ from app.gui.panels.panel import Entries
 from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
-from app.gui.shell.wording import gaps_in_words, recording_ended
+from app.gui.shell.status_text import gaps_in_words, recording_ended
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file

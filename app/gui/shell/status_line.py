@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QLabel, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import Verdict
-from app.gui.shell.wording import as_sentence
+from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column, row, row_of
 from app.gui.widgets.presentation import NOTHING

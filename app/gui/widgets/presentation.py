@@ -10,7 +10,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 
 from app.results.pictures import Pixels, step_above
-from app.results.view_analysis import Quantity
+from app.results.view_maps import Quantity
 from reconstruction.arrays import Floats
 
 MAGNIFICATIONS = (1.0, 2.0, 5.0)

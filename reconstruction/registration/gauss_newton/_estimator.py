@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import TRANSMISSION_MODES, Displacement, Outcome, Transmission
+from reconstruction.displacement import TRANSMISSION_MODES, Displacement, LensletStatus, Transmission
 from reconstruction.frame.spline import noise_power, noise_power_polynomial
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, orthogonal_modes
@@ -247,10 +247,10 @@ class GaussNewton:
             residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
             contrast=fits.contrast,
             faults={
-                Outcome.DIVERGED: ~found,
-                Outcome.LEFT_CELL: spoilt,
-                Outcome.DARK: spoilt & reference.touched(reference.bad),
-                Outcome.SATURATED: spoilt & reference.touched(saturated),
+                LensletStatus.DIVERGED: ~found,
+                LensletStatus.LEFT_CELL: spoilt,
+                LensletStatus.DARK: spoilt & reference.touched(reference.bad),
+                LensletStatus.SATURATED: spoilt & reference.touched(saturated),
             },
         )
         valid = displacement.valid

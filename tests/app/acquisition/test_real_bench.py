@@ -10,9 +10,9 @@ import pytest
 from support.dcam_tools import built, dcam_stand_in
 from support.paths import FOREIGN_FRAMES
 from support.patience import HANG_S, own_time, wait_until
-from support.wires.dc4100 import DC4100Wire
-from support.wires.dcam.stand_in import StandIn
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.dcam.stand_in import StandIn
+from support.stand_ins.pseudo_terminal import PtyServer
 
 from app.acquisition.devices import open_camera, open_devices, open_light
 from app.acquisition.instrument import Instrument

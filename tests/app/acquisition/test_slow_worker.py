@@ -18,7 +18,7 @@ from simulated_devices.bench import SimulatedLight
 
 
 def test_slow_frames_announce_themselves(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the guardian would take each for a hang, and switch the light off."""
+    """Else the watchdog would take each for a hang, and switch the light off."""
     promised, measure = list[float](), Instrument.measure
 
     def measure_slowly(instrument: Instrument, frame: Frame) -> Measurement:

@@ -145,7 +145,7 @@ def test_programs_that_commands_start_import_nothing_from_the_working_folder(mon
     assert os.environ["PYTHONSAFEPATH"] == "1"
 
 
-MEASURE = "app.acquisition.start_up, app.acquisition.streams.publisher, app.results.frame_tallies"
+MEASURE = "app.acquisition.start_up, app.acquisition.streams.publisher, app.results.run_summary"
 WINDOW = "app.acquisition.worker, app.gui.application"
 STATISTICS = ("scipy.optimize", "scipy.signal", "scipy.stats")
 

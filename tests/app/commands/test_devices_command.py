@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from support.micro_manager_core import FOLDER
 from support.simulated_scene import CAMERA, STILL, open_bench
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
 
 from app.acquisition.devices import open_camera, open_light
 from app.bench.config import load_bench, write_bench

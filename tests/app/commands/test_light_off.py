@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 from support.command_line import run
-from support.guarded_instrument import bench_toml
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
+from support.watchdog_instrument import bench_toml
 
 
 def test_light_off_switches_it_off(

@@ -82,7 +82,7 @@ def test_interrupted_measure_names_folder_of_frames(
     def interrupt(*_: object, **__: object) -> None:
         raise Interrupted("interrupted")
 
-    monkeypatch.setattr("app.results.frame_tallies.write_pieces", interrupt)
+    monkeypatch.setattr("app.results.run_summary.write_pieces", interrupt)
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 130
     assert "m holds 3 frames; svwfs replay" in capsys.readouterr().err.replace("\n", " ")
     assert not (tmp_path / "m" / "results.nc").exists()
@@ -95,7 +95,7 @@ def test_measure_on_full_disk_names_folder_of_frames(
     def refuse(*_: object, **__: object) -> None:
         raise RunError("results.nc: cannot be written: no space left")
 
-    monkeypatch.setattr("app.results.frame_tallies.write_pieces", refuse)
+    monkeypatch.setattr("app.results.run_summary.write_pieces", refuse)
     assert run(monkeypatch, "measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m") == 1
     said = capsys.readouterr().err.replace("\n", " ")
     assert "no space left" in said

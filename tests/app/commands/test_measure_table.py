@@ -9,7 +9,7 @@ import pytest
 
 from app.bench.config import load_bench
 from app.commands.measure import print_measurement
-from app.results.frame_tallies import Measured
+from app.results.run_summary import Measured
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -11,10 +11,10 @@ from support.optics import FIELD, VIEWS, SmallBench, at_views
 
 from app.evaluation.paper.nonrigid_methods import BlockFlow, Demons, FreeForm
 from reconstruction.arrays import Image
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise
-from reconstruction.pipeline import OwnMethods
+from reconstruction.reconstructor import OwnMethods
 from reconstruction.registration.itk_affine import ItkAffine
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
@@ -62,7 +62,7 @@ def test_dark_and_saturated_lenslets_are_lost(
     saturated[center[1, 2, 1], center[1, 2, 0]] = True
     displacement = method(reference, FIELD)(frame, saturated=saturated)
     expected = np.zeros((ROWS, COLUMNS))
-    expected[0, 0], expected[1, 2] = Outcome.DARK, Outcome.SATURATED
+    expected[0, 0], expected[1, 2] = LensletStatus.DARK, LensletStatus.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)
     np.testing.assert_array_equal(np.isnan(displacement.coefficients[..., 0, 0]), expected != 0)
 
@@ -95,7 +95,7 @@ def test_wavefront_is_reconstructed_with_known_noise_and_an_excluded_lenslet(
         noise=CameraNoise(per_electron, 8 * per_electron),
     )(frame)
     assert np.argwhere(~wavefront.displacement.valid).tolist() == [[2, 5]]
-    assert wavefront.displacement.outcome[2, 5] == Outcome.EXCLUDED
+    assert wavefront.displacement.outcome[2, 5] == LensletStatus.EXCLUDED
     assert np.isfinite(wavefront.views).any()
 
 

@@ -18,7 +18,7 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 from app.gui.panels.quality import verdict
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import bright, colour_table, diverging, uncertain
-from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps
+from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.wavefront import Wavefront

@@ -19,11 +19,11 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
 
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.start_up import UnattendedRun
+from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
-from app.gui.application import run_window, unattended_steps
-from app.gui.shell.access import Access
+from app.gui.application import headless_steps, run_window
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
@@ -47,24 +47,23 @@ def when_lit(camera: FakeCamera, act: Callable[[], object]) -> Iterator[None]:
     timer.stop()
 
 
-def run_unattended(
+def run_headless(
     camera: FakeCamera, seconds: float, screenshot: Path | None = None, finished: list[Measurement] | None = None
 ) -> int:
-    run = UnattendedRun(Acquisition(BENCH, opener(camera)))
+    run = HeadlessRun(Acquisition(BENCH, opener(camera)))
 
     def note(_: RunningInstrument, measurement: Measurement) -> None:
         if finished is not None:
             finished.append(measurement)
 
-    access = Access(lambda: run.acquisition, lambda _: run.send())
+    access = InstrumentFactory(lambda: run.acquisition, lambda _: run.send())
     return run_window(
-        lambda window: window.open(access),
-        steps=lambda window: unattended_steps(window, run, seconds, screenshot, note),
+        lambda window: window.open(access), steps=lambda window: headless_steps(window, run, seconds, screenshot, note)
     )
 
 
 def run_attended(camera: FakeCamera) -> int:
-    return run_window(lambda window: window.open(Access(lambda: Acquisition(BENCH, opener(camera)))))
+    return run_window(lambda window: window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(camera)))))
 
 
 @pytest.mark.slow
@@ -72,7 +71,7 @@ def run_attended(camera: FakeCamera) -> int:
 def test_unattended_run_saves_screenshot_and_result(qapp: QApplication, tmp_path: Path) -> None:
     camera = FakeCamera()
     finished: list[Measurement] = []
-    status = run_unattended(camera, 0.3, tmp_path / "window.png", finished)
+    status = run_headless(camera, 0.3, tmp_path / "window.png", finished)
     assert status == 0
     assert finished[0].wavefront is not None
     image = QImage(str(tmp_path / "window.png"))
@@ -94,7 +93,7 @@ def test_full_disk_leaves_no_screenshot(qapp: QApplication, tmp_path: Path, monk
     monkeypatch.setattr(os, "fsync", fill_up)
     camera = FakeCamera()
     with pytest.raises(RunError, match=r"window\.png: cannot be written"):
-        run_unattended(camera, 0.1, tmp_path / "window.png")
+        run_headless(camera, 0.1, tmp_path / "window.png")
     assert not list(tmp_path.iterdir())
 
 
@@ -102,7 +101,7 @@ def test_unattended_run_raises_device_error(qapp: QApplication) -> None:
     camera = FakeCamera()
     camera.fault = Disconnected("no camera was found")
     with pytest.raises(RunError, match=r"^no camera was found"):
-        run_unattended(camera, 0.3)
+        run_headless(camera, 0.3)
     assert qapp is QApplication.instance()
 
 
@@ -125,7 +124,7 @@ def test_file_that_is_not_saved_when_the_window_closes_is_told(
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("run", [run_attended, partial(run_unattended, seconds=HANG_S)])
+@pytest.mark.parametrize("run", [run_attended, partial(run_headless, seconds=HANG_S)])
 def test_signal_closes_window_and_turns_light_off(
     qapp: QApplication, number: signal.Signals, run: Callable[[FakeCamera], int]
 ) -> None:
@@ -143,7 +142,7 @@ def test_unattended_run_closed_early_raises_and_saves_nothing(qapp: QApplication
     camera = FakeCamera()
     finished: list[Measurement] = []
     with when_lit(camera, qapp.closeAllWindows), pytest.raises(RunError, match="closed before the run had finished"):
-        run_unattended(camera, HANG_S, tmp_path / "window.png", finished)
+        run_headless(camera, HANG_S, tmp_path / "window.png", finished)
     assert not finished
     assert not list(tmp_path.iterdir())
     assert camera.is_closed

@@ -20,7 +20,7 @@ from app.acquisition.running_instrument import CLOSING_S
 from app.acquisition.worker import Acquisition
 from app.errors import RunError
 from app.gui.application import _raise_failure
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
     assert server.address.process
     made = make_window()
-    made.open(Access(lambda: reach("window"), lambda _: ()))
+    made.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
     wait_for_wavefront(qtbot, made)
     return made
 
@@ -52,7 +52,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
 ) -> None:
     with connected("notebook"):
         window = make_window()
-        window.open(Access(lambda: reach("window"), lambda _: ()))
+        window.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in said_in(window))
@@ -116,7 +116,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
 ) -> None:
     with connected("notebook") as notebook:
         window = make_window()
-        window.open(Access(lambda: reach("window"), lambda _: ()))
+        window.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         bar, panel = window.recording_bar, window.recording_panel
 
@@ -150,7 +150,7 @@ def test_window_goes_on_with_an_instrument_that_was_started_again(
     assert runtime_folder.is_dir()
     window = make_window()
     with served(FakeCamera()) as first:
-        window.open(Access(lambda: reach("window"), lambda _: ()))
+        window.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
         wait_for_wavefront(qtbot, window)
         first.end()
         qtbot.waitUntil(lambda: "the instrument was shut down" in said_in(window))
@@ -171,7 +171,7 @@ def test_recording_goes_on_when_the_window_opens_another_bench(
 ) -> None:
     server.acquisition.start_recording(tmp_path / "run 1").result(HANG_S)
     qtbot.waitUntil(lambda: "run 1" in window.recording_bar.text.text())
-    window.open(Access(partial(Acquisition, BENCH, opener(FakeCamera()))))
+    window.open(InstrumentFactory(partial(Acquisition, BENCH, opener(FakeCamera()))))
     qtbot.waitUntil(lambda: window.controller.status is not None)
     window.recording_bar.refresh()
     assert "run 1" not in window.recording_bar.text.text()

@@ -16,7 +16,7 @@ from support.wavefronts import bowl
 
 from app.gui.panels.panel import Request
 from app.gui.shell.analyses import Analysis
-from app.results.view_analysis import Quantity, quantity_maps
+from app.results.view_maps import Quantity, quantity_maps
 
 
 @pytest.fixture

@@ -13,8 +13,8 @@ from test_window_calibration import is_about, move_lattice
 
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE, STEPS, CalibrationStep
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
 from app.gui.shell.calibration import CalibrationGuide
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Frame
 
@@ -136,7 +136,7 @@ def test_guide_ends_with_its_bench(window: MainWindow, camera: ExposedCamera) ->
     window.controls.frames.setValue(10_000)
     window.controls.calibrate.click()
     assert state(guide, LATTICE) == "running"
-    window.open(Access(lambda: Acquisition(MANUAL, opener(camera))))
+    window.open(InstrumentFactory(lambda: Acquisition(MANUAL, opener(camera))))
     assert state(guide, LATTICE) == "failed"
     assert guide.question.text() == "Ended: the devices were connected again"
     assert not guide.end_for_light()
@@ -160,7 +160,7 @@ def test_failed_step_can_be_repeated(window: MainWindow, qtbot: QtBot, camera: E
 @pytest.mark.long
 def test_person_is_asked_to_take_the_sample_out(make_window: MakeWindow, qtbot: QtBot, camera: ExposedCamera) -> None:
     window = make_window()
-    window.open(Access(lambda: Acquisition(MANUAL, opener(camera))))
+    window.open(InstrumentFactory(lambda: Acquisition(MANUAL, opener(camera))))
     qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.controls.frames.setValue(5)
     guide = window.guide

@@ -12,7 +12,7 @@ from support.gui_bench import FULL_SCALE, LATTICE, SENSOR, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, dim_frame, picture, views
 
 from app.gui.widgets.camera_image import arrow_length_px
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.geometry import Arrangement
 
 
@@ -38,7 +38,7 @@ def test_image_is_oriented_as_on_the_camera(make_window: MakeWindow) -> None:
 def test_lost_lenslet_is_crossed_out_with_its_reason(make_window: MakeWindow, arrangement: Arrangement) -> None:
     window, lattice = make_window(), replace(LATTICE, arrangement=arrangement)
     outcome = np.zeros(LENSLETS, np.int8)
-    outcome[1, 10] = Outcome.SATURATED
+    outcome[1, 10] = LensletStatus.SATURATED
     panel = window.panels.camera
     panel.show_bench(replace(SENSOR, arrangement=arrangement), lattice, FULL_SCALE)
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
@@ -86,8 +86,8 @@ def test_arrows_point_along_the_displacement(make_window: MakeWindow) -> None:
     panel = window.panels.camera
     panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
     moved = np.full((*LENSLETS, 2), np.nan)
-    outcome = np.full(LENSLETS, Outcome.DARK, np.int8)
-    moved[4, 6], outcome[4, 6] = (1.2, 0.3), Outcome.CONVERGED
+    outcome = np.full(LENSLETS, LensletStatus.DARK, np.int8)
+    moved[4, 6], outcome[4, 6] = (1.2, 0.3), LensletStatus.CONVERGED
     window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome, displacement_px=moved))
     x, y = panel._arrows.ends.T
     magnification = float(panel.caption.text().rpartition(" ")[2])

@@ -23,8 +23,8 @@ from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, 
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
-from app.results.view_analysis import LensletInspection, inspect_lenslet
-from reconstruction.displacement import Outcome
+from app.results.view_maps import LensletInspection, inspect_lenslet
+from reconstruction.displacement import LensletStatus
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def test_lost_lenslet_is_inspected_with_its_reason(window: MainWindow, qtbot: Qt
     measurement = inspected()
     assert measurement.registered is not None
     outcome = measurement.registered.outcome.copy()
-    outcome[2, 3] = Outcome.LEFT_CELL
+    outcome[2, 3] = LensletStatus.LEFT_CELL
     window.show_measurement(shown(replace(measurement, registered=replace(measurement.registered, outcome=outcome))))
     click_lenslet(window.panels.camera, 2, 3)
     panel = window.panels.lenslet

@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
-from app.acquisition.kept_averages import AverageState
+from app.acquisition.dark_reference_store import AverageState
 from app.bench.config import AUTOMATIC
 from app.bench.device_kinds import DRIVERS
 from app.bench.settings_form import NAMES, name_of

@@ -25,9 +25,9 @@ from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
 from app.results.result_file import write_results
 from app.results.shown_wavefront import StoredWavefront
-from app.results.view_analysis import Quantity
+from app.results.view_maps import Quantity
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.wavefront import Wavefront
 
@@ -265,7 +265,7 @@ def test_limit_of_the_colours_has_the_unit(window: MainWindow, qtbot: QtBot) -> 
 
 def test_lenslet_that_was_not_measured_is_hatched(window: MainWindow) -> None:
     outcome = np.zeros(LENSLETS, np.int8)
-    outcome[2, 3] = Outcome.EXCLUDED
+    outcome[2, 3] = LensletStatus.EXCLUDED
     known = views()
     window.show_measurement(make_measurement(dim_frame(), known, outcome=outcome))
     window.update_text()

@@ -14,7 +14,7 @@ from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
 
 from app.gui.panels.history import HistoryPanel
-from app.gui.panels.panel import Liveness
+from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.results.history import DELAY, FILL, RMS, TEMPERATURE, SeriesLimits
@@ -105,12 +105,12 @@ def test_each_end_and_several_series(window: MainWindow) -> None:
 def test_frame_that_is_not_live_neither_passes_nor_alarms(window: MainWindow) -> None:
     panel = window.panels.history
     set_limits(panel, RMS, highest="1")
-    window.shown.liveness = Liveness("PAUSED, 9 s old", "stopped", is_grey=True)
+    window.shown.data_freshness = DataFreshness("PAUSED, 9 s old", "stopped", is_grey=True)
     panel.add(0.0, {RMS: 5.0})
     panel.show_numbers()
     assert window.shown.verdict.text == "\N{EN DASH}"
     panel.forget_bench()
-    window.shown.liveness = Liveness()
+    window.shown.data_freshness = DataFreshness()
     panel.show_numbers()
     assert window.shown.verdict.text == "\N{EN DASH}"  # of the next bench nothing is known
 

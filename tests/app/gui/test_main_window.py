@@ -16,8 +16,8 @@ from support.patience import HANG_S, own_time
 from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, press, views, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
 from app.gui.shell.help import TextDialog
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.gui.widgets.presentation import NOTHING
@@ -25,8 +25,8 @@ from app.measurement.calibration import Calibration
 from app.measurement.measurement import Assumptions, RefinementState
 from app.timing import STAGES
 from drivers.interface import Disconnected
-from reconstruction.displacement import Outcome
-from reconstruction.pipeline import Reconstructor
+from reconstruction.displacement import LensletStatus
+from reconstruction.reconstructor import Reconstructor
 
 
 def test_shows_a_recorded_measurement_without_any_device(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -60,8 +60,8 @@ def test_lost_lenslets_are_counted_by_reason(make_window: MakeWindow) -> None:
         (5, "52 of 117", theme.RED),
     ):
         outcome = np.zeros(LENSLETS, np.int8)
-        outcome[:lost_rows] = Outcome.DARK
-        outcome[:lost_rows, 0] = Outcome.SATURATED
+        outcome[:lost_rows] = LensletStatus.DARK
+        outcome[:lost_rows, 0] = LensletStatus.SATURATED
         window.show_measurement(make_measurement(dim_frame(), views(), outcome=outcome))
         window.update_text()
         assert shown.text() == text
@@ -123,7 +123,7 @@ def test_status_line_shows_nothing_old_while_a_bench_opens(live: tuple[MainWindo
     window, _ = live
     line = window.status_line
     qtbot.waitUntil(lambda: line.rate.text() != "\N{EN DASH}" and line.devices.text() == "running")
-    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))
     shown = [label.text() for label in (line.rate, line.delay, line.valid, line.lost, line.devices, line.assumed)]
     assert shown == ["\N{EN DASH}"] * 3 + ["0", "", ""]
     qtbot.waitUntil(lambda: line.devices.text() == "running")
@@ -244,12 +244,12 @@ def test_nothing_is_opened_beside_a_device_that_hangs(
     with monkeypatch.context() as hanging:
         hanging.setattr("app.gui.shell.controller.CLOSING_S", 0.2)
         hanging.setattr(Acquisition, "is_alive", True)
-        window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+        window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))
     assert window.controller.acquisition is before
     assert "A device or a computation did not end within 45 s" in window.messages.log
     assert window._timer.isActive()
     assert not camera.light.shines
-    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))  # it has ended
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))  # it has ended
     assert window.controller.acquisition is not before
 
 

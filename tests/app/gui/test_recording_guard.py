@@ -13,7 +13,7 @@ from support.patience import HANG_S
 from support.window_tools import press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.recording.reader import Recording
@@ -43,7 +43,7 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
         opened.append(FakeCamera())
         return Acquisition(BENCH, opener(opened[-1]))
 
-    window.open(Access(make))
+    window.open(InstrumentFactory(make))
     window.update_text()
     assert "ends if another bench is opened" in window.messages.text.text()
     assert window.messages.text.property("tone") == theme.tone(theme.AMBER)
@@ -55,7 +55,7 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     assert not opened
 
     window.recording_bar.note.setText("a note of the first bench")
-    window.open(Access(make))
+    window.open(InstrumentFactory(make))
     window.update_text()
     window.messages.accept.click()
     assert len(opened) == 1

@@ -17,7 +17,7 @@ from support.window_tools import MakeWindow, click, tab, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 
 COARSE = "simulation.object_samples=11", "simulation.pupil_samples=10"  # rendered sooner, of the same size
@@ -61,7 +61,7 @@ def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWin
     window.panels.wavefronts._store()
     old = references(window)
     assert len(alive(old)) == len(old)
-    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))
     wait_for_wavefront(qtbot, window)
     qtbot.waitUntil(lambda: not alive(old))
     assert window.panels.wavefronts.menu.options.stored is None
@@ -83,7 +83,7 @@ def test_memory_does_not_grow_over_twenty_openings(make_window: MakeWindow, qtbo
     window, sizes = make_window(), list[float]()
     for index in range(22):
         bench = load_bench("live_demo", COARSE) if index % 2 else load_bench(small_toml)
-        window.open(Access(partial(Acquisition, bench)))
+        window.open(InstrumentFactory(partial(Acquisition, bench)))
         qtbot.waitUntil(lambda: reconstructed(window) > 5)
         qtbot.waitUntil(lambda: window.controller.is_settled)
         ctypes.CDLL(None).malloc_trim(0)

@@ -17,7 +17,7 @@ from support.recordings import record
 from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.measurement import FrameTotals, Measurement
@@ -50,7 +50,7 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     shown = MainWindow()
     shown.resize(1200, 800)
     shown.show()
-    shown.open(Access(make, player.begin, player))
+    shown.open(InstrumentFactory(make, player.begin, player))
     qtbot.waitUntil(lambda: shown.status_line.valid.text() == "35 of 35")
     yield shown
     shown.close()
@@ -194,7 +194,7 @@ def own_recording(recording: Recording, tmp_path: Path) -> Recording:
 @pytest.mark.long
 def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
-    window.open(Access(player.acquisition, player.begin, player))
+    window.open(InstrumentFactory(player.acquisition, player.begin, player))
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
     qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
     named = describe(own_recording.folder, name="mouse 7", note="")
@@ -210,7 +210,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
 @pytest.mark.long
 def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
-    window.open(Access(player.acquisition, player.begin, player))
+    window.open(InstrumentFactory(player.acquisition, player.begin, player))
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
     shutil.rmtree(own_recording.folder)
     end = "the replay has ended: open the recording again (Ctrl+Shift+O)"
@@ -245,7 +245,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     lines[5] = b"x" * (len(lines[5]) - 1) + b"\n"
     (own_recording.folder / "frames.jsonl").write_bytes(b"".join(lines))
     player = Player(own_recording.folder)
-    window.open(Access(player.acquisition, player.begin, player))
+    window.open(InstrumentFactory(player.acquisition, player.begin, player))
     bar = window.replay
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
     bar.play.click()

@@ -17,9 +17,9 @@ from support.window_tools import part, picture, press
 from test_number_field import type_text
 
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.wording import warning
+from app.gui.shell.status_text import warning
 from app.gui.widgets import theme
-from app.results.view_analysis import Quantity
+from app.results.view_maps import Quantity
 from drivers.interface import Range
 
 

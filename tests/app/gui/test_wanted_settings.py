@@ -15,7 +15,7 @@ from support.patience import HANG_S
 from app.gui.shell.main_window import MainWindow
 from app.measurement.calibration import Calibration
 from app.recording.reader import Recording
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 
 
 @pytest.fixture

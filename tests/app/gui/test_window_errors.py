@@ -10,7 +10,7 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.results.history import RMS
 
@@ -23,7 +23,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
     panel.inspect((8, 12))
     assert lenslet.lenslet == (8, 12)
     smaller = replace(BENCH, sensor=sensor_of(5, 7))
-    window.open(Access(lambda: Acquisition(smaller, opener(FakeCamera()))))
+    window.open(InstrumentFactory(lambda: Acquisition(smaller, opener(FakeCamera()))))
     assert lenslet.lenslet is None
     assert window.shown.wavefront is None
     assert not panel._inspected_box.isVisible()
@@ -87,7 +87,7 @@ def test_history_and_pinned_coefficient_are_forgotten_with_their_bench(
     coefficients.pin(4)
     qtbot.waitUntil(lambda: len(history.history.series(coefficients.name)[0]) > 1)
     name = coefficients.name
-    window.open(Access(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))
     assert coefficients.name == ""
     assert not len(history.history.series(RMS)[0])
     assert list(history.charts) == [RMS]

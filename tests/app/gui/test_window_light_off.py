@@ -19,7 +19,7 @@ from test_calibration_guide import ExposedCamera
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from drivers.interface import Devices, Disconnected, Frame
@@ -254,7 +254,7 @@ def test_key_keeps_the_light_off_while_a_bench_opens(
         release.wait(HANG_S)
         return opener(camera)(bench, progress)
 
-    window.open(Access(lambda: Acquisition(BENCH, open_slowly)))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, open_slowly)))
     window.refresh()
     assert not window.controls.light.isEnabled()
     press(qtbot, window, Qt.Key.Key_L)

@@ -14,7 +14,7 @@ from support.manual_bench import MANUAL
 from support.window_tools import MakeWindow, press
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from drivers.interface import Devices, Disconnected
 from drivers.manual_light import ManualLight, ManualLightSettings
@@ -28,7 +28,7 @@ def by_hand(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, ManualLi
     camera, light = FakeCamera(), ManualLight()
     camera.light = light  # type: ignore[assignment] # the camera sees whether it is on
     window = make_window()
-    window.open(Access(lambda: Acquisition(BENCH, opener(camera))))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(camera))))
     qtbot.waitUntil(lambda: window.controls.light.text() == "Light\nby hand")
     qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.activateWindow()
@@ -99,7 +99,7 @@ def test_devices_that_do_not_open_tell_nothing_of_the_light(make_window: MakeWin
         raise Disconnected("there is no camera")
 
     window = make_window()
-    window.open(Access(lambda: Acquisition(BENCH, fail)))
+    window.open(InstrumentFactory(lambda: Acquisition(BENCH, fail)))
     text = "There is no camera  \N{EM DASH}  no device is open: reconnect (Ctrl+R)"
     qtbot.waitUntil(lambda: window.messages.text.text() == text)
     assert window.messages.reconnect.isVisible()

@@ -15,7 +15,7 @@ from support.window_tools import MakeWindow, dim_frame, press, views
 from app.gui.shell.main_window import MainWindow
 from app.results.history import DELAY, RMS
 from app.results.shown_wavefront import DisplayOptions, Unit
-from app.results.view_analysis import Quantity
+from app.results.view_maps import Quantity
 
 
 @pytest.fixture

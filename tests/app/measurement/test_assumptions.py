@@ -12,7 +12,7 @@ from support.wavefronts import bowl
 
 from app.measurement.estimator import mask_sentence
 from app.measurement.measurement import sample_sentence
-from app.results.frame_tallies import FrameTally
+from app.results.run_summary import FrameTally
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 

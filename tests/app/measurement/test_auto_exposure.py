@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
-from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
+from app.measurement.routines import NO_CALLBACKS, Cancelled, RoutineCallbacks, RoutineError
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Range
 from simulated_devices.bench import SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
@@ -33,7 +33,7 @@ IMAGES = {"squares": squares(), "broad": squares(width_px=13.0), "haze": squares
 
 
 def expose(devices: Devices, fill: float = 0.7) -> AutoExposure:
-    return auto_expose(devices, PITCH_PX, UNWATCHED, fill=fill)
+    return auto_expose(devices, PITCH_PX, NO_CALLBACKS, fill=fill)
 
 
 def true_fill(scene: LampScene, found: AutoExposure) -> float:
@@ -227,7 +227,7 @@ def test_auto_exposure_succeeds_on_simulated_bench(
         shown.append(fraction)
 
     begun_s = clock.now()
-    found = auto_expose(devices, 31.25, Watch(progress))
+    found = auto_expose(devices, 31.25, RoutineCallbacks(progress))
     assert found.frames <= 6
     assert clock.now() - begun_s < 60
     assert shown == sorted(shown)
@@ -245,7 +245,7 @@ def test_cancelling_interrupts_long_exposure(simulated: tuple[Devices, ManualClo
     devices, clock = simulated
     devices.camera.set_exposure(100.0)
     with pytest.raises(Cancelled):
-        auto_expose(devices, 31.25, Watch(should_stop=lambda: clock.now() > 1.0))
+        auto_expose(devices, 31.25, RoutineCallbacks(should_stop=lambda: clock.now() > 1.0))
     assert clock.now() < 1.3
     assert devices.camera.exposure_s == 100.0
     assert not devices.light.is_on

@@ -15,7 +15,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import SKIPPED, Measurement
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.solve.modal import ModalSolution
 

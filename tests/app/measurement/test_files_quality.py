@@ -10,8 +10,8 @@ from scipy import ndimage
 
 from app.bench.config import load_bench
 from app.evaluation.frames import NoiseFreeFrames
-from app.measurement.bench_reconstructor import BenchReconstructor
-from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
+from app.measurement.offline_reconstructor import OfflineReconstructor
+from app.measurement.offline_reconstructor import reconstructor as reconstructor_of
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.quality.verdict import Fault, Quality
@@ -100,7 +100,7 @@ def test_fault_that_hides_the_noise_is_flagged(process: str) -> None:
 
 @pytest.mark.slow
 def test_exchanged_frame_and_reference_are_flagged() -> None:
-    reconstructor = BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[1], 1), dark=dark())
+    reconstructor = OfflineReconstructor(load_bench("small_demo", SQUARE), exposed(light()[1], 1), dark=dark())
     frame = exposed(light()[0], 2)
     quality = reconstructor.quality(frame, reconstructor(frame))
     assert Fault.SAMPLE in quality.faults
@@ -204,6 +204,6 @@ def test_black_frame_is_refused() -> None:
 def test_dark_with_more_light_than_the_reference_is_refused(counts: int) -> None:
     bright = np.full(light()[0].shape, counts, np.uint16)
     with pytest.raises(ReconstructionError, match="the reference shows no light above the dark"):
-        BenchReconstructor(load_bench("small_demo", SQUARE), exposed(light()[0], 1), dark=bright)(
+        OfflineReconstructor(load_bench("small_demo", SQUARE), exposed(light()[0], 1), dark=bright)(
             exposed(light()[1], 1)
         )

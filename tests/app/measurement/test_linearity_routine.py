@@ -15,10 +15,10 @@ from support.command_line import run
 from app.bench.config import Bench, load_bench, parse_bench, write_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.measurement.averages import Average
-from app.measurement.bench_reconstructor import reconstructor
 from app.measurement.calibration import Calibration
 from app.measurement.linearity import measure_linearity
-from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
+from app.measurement.offline_reconstructor import reconstructor
+from app.measurement.routines import NO_CALLBACKS, Cancelled, RoutineCallbacks, RoutineError
 from app.recording.calibration_files import read_calibration, write_calibration
 from drivers.interface import Devices, Range
 from drivers.manual_light import ManualLight
@@ -35,7 +35,7 @@ WIDE = Range(1e-3, 10.0)
 
 def measured(scene: LampScene, *, exposure_s: float = 0.1) -> MeasuredLinearity:
     devices, *_ = exposure_bench(scene, exposure_s=exposure_s)
-    return measure_linearity(devices, PITCH_PX, 4, UNWATCHED)
+    return measure_linearity(devices, PITCH_PX, 4, NO_CALLBACKS)
 
 
 def scene_of(loss: float, **changes: Any) -> LampScene:
@@ -57,7 +57,7 @@ def test_routine_finds_the_curve_of_the_camera(loss: float, flicker: float) -> N
 def test_short_exposures_are_made_longer_by_less_current() -> None:
     scene = replace(scene_of(LOSS), counts_per_a_s=7e6, exposure_range_s=Range(0.0139, 1.0))
     devices, camera, lamp = exposure_bench(scene, exposure_s=0.0139)
-    found = measure_linearity(devices, PITCH_PX, 4, UNWATCHED)
+    found = measure_linearity(devices, PITCH_PX, 4, NO_CALLBACKS)
     assert max(camera.exposed_s) > 8 * min(camera.exposed_s[20:])
     assert found.linearity.quadratic == pytest.approx(LOSS * found.linearity.highest_counts / 2**16, abs=0.004)
     assert lamp.current_a == 0.35
@@ -72,7 +72,7 @@ def test_light_that_goes_off_amid_the_exposures_ends_the_routine() -> None:
             lamp._shines = False
 
     with pytest.raises(RoutineError, match="the light is off: switch it on"):
-        measure_linearity(devices, PITCH_PX, 2, Watch(go_off))
+        measure_linearity(devices, PITCH_PX, 2, RoutineCallbacks(go_off))
 
 
 def test_devices_are_restored_also_after_a_stop() -> None:
@@ -84,7 +84,7 @@ def test_devices_are_restored_also_after_a_stop() -> None:
             return len(camera.exposed_s) > most
 
         try:
-            measure_linearity(devices, PITCH_PX, 2, Watch(should_stop=stop))
+            measure_linearity(devices, PITCH_PX, 2, RoutineCallbacks(should_stop=stop))
         except Cancelled:
             assert most == 3
         assert camera.is_running
@@ -109,9 +109,9 @@ def test_what_cannot_be_told_is_refused(scene: LampScene, why: str) -> None:
 def test_lights_without_control_and_single_frames_are_refused() -> None:
     devices, camera, _ = exposure_bench(scene_of(0.0), exposure_s=0.1)
     with pytest.raises(RoutineError, match="at least 2 frames"):
-        measure_linearity(devices, PITCH_PX, 1, UNWATCHED)
+        measure_linearity(devices, PITCH_PX, 1, NO_CALLBACKS)
     with pytest.raises(RoutineError, match="by hand"):
-        measure_linearity(Devices(camera, ManualLight(), devices.stage), PITCH_PX, 4, UNWATCHED)
+        measure_linearity(Devices(camera, ManualLight(), devices.stage), PITCH_PX, 4, NO_CALLBACKS)
 
 
 # A camera with the signal S = L - b L^2, whose inverse the cubic describes to 0.1 %.

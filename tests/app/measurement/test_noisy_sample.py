@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
+from app.measurement.offline_reconstructor import reconstructor as reconstructor_of
 from reconstruction.wavefront import rms
 
 SETTINGS = (

@@ -6,7 +6,7 @@ import pytest
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
+from app.measurement.offline_reconstructor import reconstructor as reconstructor_of
 from reconstruction.quality.verdict import Fault, Quality
 
 

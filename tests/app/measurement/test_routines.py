@@ -23,7 +23,7 @@ from app.measurement.averages import (
     take_dark,
     take_reference,
 )
-from app.measurement.routines import UNWATCHED, Cancelled, RoutineError, Watch
+from app.measurement.routines import NO_CALLBACKS, Cancelled, RoutineCallbacks, RoutineError
 from drivers.interface import (
     BadValue,
     Camera,
@@ -128,19 +128,19 @@ Routine = Callable[[Devices, Callable[[], bool]], object]
 
 
 def dark(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return take_dark(devices, 2, Watch(should_stop=should_stop))
+    return take_dark(devices, 2, RoutineCallbacks(should_stop=should_stop))
 
 
 def reference(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return take_reference(devices, 2, Watch(should_stop=should_stop))
+    return take_reference(devices, 2, RoutineCallbacks(should_stop=should_stop))
 
 
 def exposure(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return auto_expose(devices, PITCH_PX, Watch(should_stop=should_stop))
+    return auto_expose(devices, PITCH_PX, RoutineCallbacks(should_stop=should_stop))
 
 
 def background(devices: Devices, should_stop: Callable[[], bool]) -> object:
-    return check_background(devices, BEFORE, 2, Watch(should_stop=should_stop))
+    return check_background(devices, BEFORE, 2, RoutineCallbacks(should_stop=should_stop))
 
 
 ROUTINES: dict[str, Routine] = {"dark": dark, "reference": reference, "exposure": exposure, "background": background}
@@ -190,7 +190,7 @@ def test_averages_set_light_and_sample(devices: Devices) -> None:
     for take, is_light_on in ((take_dark, False), (take_reference, True)):
         LIVE.set(devices)
         seen.clear()
-        take(devices, 2, Watch(note))
+        take(devices, 2, RoutineCallbacks(note))
         assert seen == {(is_light_on, not is_light_on)}  # a dark does not move the sample
 
 
@@ -271,7 +271,7 @@ def test_average_needs_at_least_one_frame(devices: Devices, frames: int) -> None
     LIVE.set(devices)
     for take in (take_dark, take_reference):
         with pytest.raises(BadValue, match=r"cannot be averaged"):
-            take(devices, frames, UNWATCHED)
+            take(devices, frames, NO_CALLBACKS)
     assert State.of(devices) == LIVE
 
 
@@ -299,7 +299,7 @@ class Played:
 def test_mean_and_variance_match_numpy(frames: int) -> None:
     random = np.random.default_rng(3)
     stack = (50_000 + random.integers(-3, 4, (frames, 4, 5))).astype(np.uint16)
-    made = average(cast("Camera", Played(stack)), frames, UNWATCHED)
+    made = average(cast("Camera", Played(stack)), frames, NO_CALLBACKS)
     np.testing.assert_allclose(made.mean, stack.mean(axis=0), rtol=1e-7)
     expected = stack.astype(np.float64).var(axis=0, ddof=1) if frames > 1 else np.zeros((4, 5))
     np.testing.assert_allclose(made.variance, expected, rtol=1e-6, atol=1e-9)

@@ -15,7 +15,7 @@ from support.dcam_tools import dcam_stand_in, open_camera
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
 from support.patience import HANG_S, wait_until
-from support.wires.dcam.stand_in import pattern
+from support.stand_ins.dcam.stand_in import pattern
 
 from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument

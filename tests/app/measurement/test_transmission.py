@@ -10,7 +10,7 @@ import pytest
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.mask_accuracy import calibration_of
-from app.measurement.bench_reconstructor import reconstructor as reconstructor_of
+from app.measurement.offline_reconstructor import reconstructor as reconstructor_of
 from app.results.dataset import result_dataset
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise

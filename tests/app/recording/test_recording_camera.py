@@ -18,9 +18,9 @@ from app.bench.device_kinds import Pace
 from app.measurement.averages import Average, average, take_dark, take_reference
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.measurement.routines import UNWATCHED
+from app.measurement.routines import NO_CALLBACKS
+from app.recording.playback_devices import AveragedFrames, RecordedCamera, playback_devices
 from app.recording.reader import Recording
-from app.recording.recorded_devices import AveragedFrames, RecordedCamera, recorded_devices
 from app.recording.writer import Record, RecordingWriter
 from drivers.interface import Camera, DeviceTimeout, Disconnected, Frame, FrameLost, Range, WrongState
 from simulated_devices.clock import ManualClock
@@ -181,11 +181,11 @@ def test_dark_and_reference_have_the_recorded_averages(recording: Recording) -> 
     """Reading them does not advance the recording."""
     kept = recording.calibration(0)
     assert kept.dark is not None
-    with recorded_devices(recording, range(FRAMES), pace="fastest", repeat=True) as devices:
+    with playback_devices(recording, range(FRAMES), pace="fastest", repeat=True) as devices:
         assert not devices.light.is_on
         assert not devices.stage.is_sample_in
-        taken = {"dark": take_dark(devices, kept.dark.frames, UNWATCHED)}
-        taken["reference"] = take_reference(devices, kept.reference.frames, UNWATCHED)
+        taken = {"dark": take_dark(devices, kept.dark.frames, NO_CALLBACKS)}
+        taken["reference"] = take_reference(devices, kept.reference.frames, NO_CALLBACKS)
         devices.light.set_on(True)
         devices.stage.set_sample_in(True)
         devices.camera.start()
@@ -263,7 +263,7 @@ def test_dark_and_reference_are_those_of_the_next_frame(two_references: Recordin
         for half, exposure_s in enumerate((0.02, 0.04)):
             kept = two_references.calibration(half)
             camera.see(is_lit=True, is_sample_in=False)
-            shown = average(camera, kept.reference.frames, UNWATCHED)
+            shown = average(camera, kept.reference.frames, NO_CALLBACKS)
             np.testing.assert_array_equal(shown.mean, kept.reference.mean)
             assert (shown.exposure_s, camera.capabilities.exposure_range_s.maximum) == (exposure_s, exposure_s)
             camera.see(is_lit=True, is_sample_in=True)

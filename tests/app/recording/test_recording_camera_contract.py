@@ -13,8 +13,8 @@ from support.light_contract import LightContract
 from support.recordings import edit_line, record
 from support.stage_contract import StageContract
 
+from app.recording.playback_devices import RecordedCamera, RecordedLight, RecordedStage
 from app.recording.reader import Recording
-from app.recording.recorded_devices import RecordedCamera, RecordedLight, RecordedStage
 from drivers.interface import BadValue, Camera, LightSource, Stage
 from simulated_devices.clock import ManualClock
 

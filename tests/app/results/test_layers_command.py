@@ -17,7 +17,7 @@ from support.recordings import record
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import simulate
-from app.measurement.bench_reconstructor import BenchReconstructor
+from app.measurement.offline_reconstructor import OfflineReconstructor
 from app.results.corrector import compare_correctors, corrector_sentence, draw_corrector, write_phase
 from app.results.layers import (
     Origin,
@@ -142,7 +142,7 @@ def test_error_bar_of_a_distance_follows_that_of_the_ratio(origin: Origin) -> No
 def test_layer_behind_the_lenslets_has_no_distance_from_the_mask() -> None:
     bench = load_bench("small_demo", ("simulation.screen.distance_m=-0.1",))
     images = simulate(bench)
-    reconstruct = BenchReconstructor(bench, images.reference, dark=images.dark)
+    reconstruct = OfflineReconstructor(bench, images.reference, dark=images.dark)
     wavefront = reconstruct(images.frames[0])
     found = layers_dataset(search_layers(reconstruct.layers(wavefront)), bench, "mask")
     assert found.attrs["distances_from"] == "lenslets"

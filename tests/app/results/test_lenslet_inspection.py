@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.gaussian_lenslets import SHIFT_PX, inspected
 
-from app.results.view_analysis import inspect_lenslet
+from app.results.view_maps import inspect_lenslet
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.frame.linearity import Linearity
 
 
@@ -42,7 +42,7 @@ def test_bent_subimage_keeps_its_brightness_or_its_flux(neglect_propagation: boo
 def test_numbers_are_those_of_the_registration() -> None:
     found = inspect_lenslet(inspected(), 4, 7)
     assert found is not None
-    assert found.outcome is Outcome.CONVERGED
+    assert found.outcome is LensletStatus.CONVERGED
     np.testing.assert_allclose(found.displacement_px, SHIFT_PX)
     np.testing.assert_allclose(found.sigma_px, [0.02, 0.03])
 
@@ -78,10 +78,10 @@ def test_lost_lenslet_shows_its_subimages_and_reason() -> None:
     measurement = inspected()
     assert measurement.registered is not None
     outcome = measurement.registered.outcome.copy()
-    outcome[4, 7] = Outcome.LEFT_CELL
+    outcome[4, 7] = LensletStatus.LEFT_CELL
     found = inspect_lenslet(replace(measurement, registered=replace(measurement.registered, outcome=outcome)), 4, 7)
     assert found is not None
-    assert found.outcome is Outcome.LEFT_CELL
+    assert found.outcome is LensletStatus.LEFT_CELL
     assert found.fitted is None
     assert found.residual is None
     assert found.frame.max() > 10000

@@ -36,7 +36,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise
 from reconstruction.frame.pixels import KnownCamera
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal import ModalSolution

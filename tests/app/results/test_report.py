@@ -29,7 +29,7 @@ from app.results.replay import change_of
 from app.results.report_pages import certainty_page, coefficients_page, comparison_page, overview_page, write_report
 from app.results.report_summary import Summary, facts, residual_of, summarise
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 
 FRAMES = 5
 
@@ -132,7 +132,7 @@ def test_statistics_equal_those_of_the_results(recording: Recording, summary: Su
     np.testing.assert_allclose(found.rms_sigma_rad, np.sqrt(np.nanmean(sigma**2, axis=(1, 2, 3, 4))))
     np.testing.assert_array_equal(found.lost, np.mean(outcome != 0, axis=0))
     assert 0 < np.count_nonzero(found.lost) < found.lost.size
-    assert set(found.reason[found.lost > 0].tolist()) == {Outcome.DARK}
+    assert set(found.reason[found.lost > 0].tolist()) == {LensletStatus.DARK}
     live = [recording.line(index).rms_rad for index in (0, 1, 3, 4)]
     np.testing.assert_allclose(found.rms_rad[[0, 1, 3, 4]], np.array(live, float))
 

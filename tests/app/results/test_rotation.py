@@ -14,12 +14,12 @@ from support.command_line import run
 from support.optics import FIELD, SmallBench
 from support.paths import DOCS
 
+from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.instrument import Status
-from app.acquisition.kept_averages import AverageState
 from app.bench.config import Bench, write_bench
-from app.gui.shell.wording import warning
+from app.gui.shell.status_text import warning
 from app.results.dataset import result_dataset
-from app.results.frame_tallies import ROTATES
+from app.results.run_summary import ROTATES
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import Wavefront
 

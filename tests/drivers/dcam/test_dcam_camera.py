@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from support.camera_contract import CameraContract, CameraFaultContract
 from support.dcam_tools import dcam_stand_in, library, open_camera
-from support.wires.dcam.stand_in import Plug, StandIn, pattern
+from support.stand_ins.dcam.stand_in import Plug, StandIn, pattern
 
 from drivers.dcam import DcamSettings
 from drivers.dcam._properties import Id

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.dcam_tools import dcam_stand_in, library, open_camera
 from support.patience import HANG_S, own_time
-from support.wires.dcam.stand_in import Plug, StandIn, pattern
+from support.stand_ins.dcam.stand_in import Plug, StandIn, pattern
 
 from drivers.dcam import DcamSettings
 from drivers.dcam._properties import Id

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.dcam_tools import compiling
-from support.wires.dcam.build import SOURCES, build_program
+from support.stand_ins.dcam.build import SOURCES, build_program
 
 from drivers.dcam import _library as library
 from drivers.dcam._library import ERRORS, PROTOTYPES, DcamLibrary, Denied, NotThere, error_of

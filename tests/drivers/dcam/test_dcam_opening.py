@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 from support.dcam_tools import library, open_camera
-from support.wires.dcam.stand_in import Plug, StandIn
+from support.stand_ins.dcam.stand_in import Plug, StandIn
 
 from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera, discover

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.stateful import run_state_machine_as_test
 from support.camera_storm import CameraStorm
 from support.dcam_tools import dcam_stand_in, open_camera
+from support.stand_ins.dcam.stand_in import Plug, StandIn
 from support.storm import storm_settings
-from support.wires.dcam.stand_in import Plug, StandIn
 
 from drivers.dcam._library import ERRORS, PROTOTYPES, NotThere
 from drivers.dcam.camera import DcamCamera

@@ -8,7 +8,7 @@ from contextlib import nullcontext
 import numpy as np
 import pytest
 from support.dcam_tools import open_camera
-from support.wires.dcam.stand_in import StandIn, pattern
+from support.stand_ins.dcam.stand_in import StandIn, pattern
 
 from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera

@@ -10,9 +10,9 @@ import pytest
 from hypothesis.stateful import rule
 from support.light_contract import LightFaultContract
 from support.serial_stand_in import PtyFaults, ScriptedPort, SerialLightContract, SerialStorm, wire_to
+from support.stand_ins.coolled import CoolLEDWire
+from support.stand_ins.serial import FaultKind, LineFault
 from support.storm import storm_settings
-from support.wires.coolled import CoolLEDWire
-from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.serial_lights import CoolLEDSettings

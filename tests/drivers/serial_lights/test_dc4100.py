@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 from support.light_storm import HeatStorm
 from support.serial_stand_in import ScriptedPort, SerialLightContract, SerialStorm, wire_to
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.serial import FaultKind, LineFault
 from support.storm import storm_settings
-from support.wires.dc4100 import DC4100Wire
-from support.wires.serial import FaultKind, LineFault
 
 from drivers.errors import BadValue, DeviceError, DeviceTimeout, Disconnected, WrongState
 from drivers.serial_lights import DC4100Settings

@@ -15,9 +15,9 @@ import serial
 from support.light_contract import LightFaultContract
 from support.patience import own_time
 from support.serial_stand_in import PtyFaults, patient_wire
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
-from support.wires.serial import LineFault
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
+from support.stand_ins.serial import LineFault
 
 from drivers.errors import Busy, DeviceError, Disconnected
 from drivers.serial_lights import DC4100Settings

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import pytest
 import serial
 from support.serial_stand_in import wire_to
-from support.wires.serial import LineDevice, LineFault, MemoryPort
+from support.stand_ins.serial import LineDevice, LineFault, MemoryPort
 
 from drivers.errors import DeviceError, DeviceTimeout
 from drivers.serial_lights._line import Dialect, SerialLine, Wire

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from support.light_contract import LightFaultContract
 from support.light_log import LightLog
 from support.light_storm import HeatStorm
+from support.stand_ins.dc2200 import DC2200Wire
+from support.stand_ins.usbtmc import UsbFault, UsbFaultKind
 from support.storm import storm_settings
-from support.wires.dc2200 import DC2200Wire
-from support.wires.usbtmc import UsbFault, UsbFaultKind
 from usb_stand_in import Bus, Plug
 
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported, WrongState

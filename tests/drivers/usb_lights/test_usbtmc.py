@@ -8,7 +8,7 @@ import pytest
 import usb.backend.libusb0
 import usb.backend.libusb1
 import usb.backend.openusb
-from support.wires.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
+from support.stand_ins.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
 from usb_stand_in import IN, Bus, Plug
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported

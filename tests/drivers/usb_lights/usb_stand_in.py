@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import usb.core
-from support.wires.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
+from support.stand_ins.usbtmc import GoneError, NoAnswerError, StalledError, UsbtmcWire
 from usb.backend import IBackend
 
 from simulated_devices.clock import ManualClock

@@ -13,7 +13,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import Exposures, MeasuredLinearity
-from reconstruction.frame.pixels import AboveDark, KnownCamera
+from reconstruction.frame.pixels import DarkSubtractor, KnownCamera
 
 FULL = 60_000.0  # counts above the dark
 TIMES = np.geomspace(0.1, 1.0, 8)
@@ -86,7 +86,7 @@ def test_frames_are_corrected_above_the_dark(kind: Any, has_dark: bool) -> None:
     counts = np.random.default_rng(3).integers(10, 250, (40, 56)).astype(kind)
     measured = Linearity(quadratic=-0.2, cubic=0.1, highest_counts=200.0)
     dark = np.full(counts.shape, 7.5) if has_dark else None
-    light, _ = AboveDark(counts.shape, KnownCamera(dark, linearity=measured))(counts, "frame")
+    light, _ = DarkSubtractor(counts.shape, KnownCamera(dark, linearity=measured))(counts, "frame")
     signal = counts - (7.5 if has_dark else np.percentile(counts, 1.0))
     share = np.minimum(signal, 200.0) / 200
     expected = 200 * share * (1 - 0.2 * share + 0.1 * share**2) + np.maximum(signal - 200, 0) * (1 - 0.4 + 0.3)

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from support.optics import FIELD, SmallBench, converged
 
 from reconstruction.arrays import Floats
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import KnownCamera
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.pipeline import Reconstructor
-from reconstruction.quality.frame_quality import FrameJudge
+from reconstruction.quality.frame_quality import QualityChecker
 from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import Warp
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
@@ -84,13 +84,13 @@ def exposed(light: Light, peak_e: float, seed: int) -> Light:
 
 
 @cache
-def measured_by(warp: Warp, peak_e: float, bench: SmallBench = BENCH) -> tuple[Reconstructor, FrameJudge]:
+def measured_by(warp: Warp, peak_e: float, bench: SmallBench = BENCH) -> tuple[Reconstructor, QualityChecker]:
     reference = np.asarray(bench.reference / bench.reference.max() * peak_e, np.float32)
     dark = np.zeros_like(reference)
     camera = KnownCamera(dark, noise=KnownNoise(NOISE))
     reconstructor = bench.reconstructor(warp, pupil_modes=None, reference=reference, camera=camera)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
-    return reconstructor, judge
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration, camera=camera)
+    return reconstructor, quality_checker
 
 
 def faults(warp: Warp, peak_e: float, light: Light, bench: SmallBench = BENCH) -> tuple[Fault, str]:
@@ -103,9 +103,9 @@ def faults(warp: Warp, peak_e: float, light: Light, bench: SmallBench = BENCH) -
 
 
 def verdict(warp: Warp, peak_e: float, light: Light, seed: int = 0, bench: SmallBench = BENCH) -> Quality:
-    reconstructor, judge = measured_by(warp, peak_e, bench)
+    reconstructor, quality_checker = measured_by(warp, peak_e, bench)
     frame = exposed(light, peak_e, seed)
-    return judge(frame, reconstructor.register(frame))
+    return quality_checker(frame, reconstructor.register(frame))
 
 
 @pytest.mark.slow
@@ -135,10 +135,10 @@ def test_slopes_against_a_noisy_reference_are_not_judged(warp: Warp, enough: int
         reference = np.mean([exposed(light, peak_e, 100 + index) for index in range(averaged)], axis=0)
         camera = KnownCamera(np.zeros_like(reference), noise=KnownNoise(NOISE, averaged))
         reconstructor = BENCH.reconstructor(warp, pupil_modes=None, reference=reference, camera=camera)
-        judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
+        quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration, camera=camera)
         for seed, strength in enumerate((0.5, 2.0, 4.0)):
             frame = exposed(aberrated(strength), peak_e, seed)
-            found = judge(frame, reconstructor.register(frame))
+            found = quality_checker(frame, reconstructor.register(frame))
             assert Fault.SLOPES not in found.faults, (averaged, strength, found.sentence)
             assert (f"average at least {enough} frames" in found.unjudged) == (averaged == 1)
 
@@ -198,12 +198,12 @@ def test_light_is_judged_without_a_dark_in_each_form(form: str) -> None:
     light, offset = aberrated(1.0), 400.0
     reference = np.rint(BENCH.reference / BENCH.reference.max() * 2e4 + offset).astype(form)
     reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, noise=NOISE)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration)
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration)
     uneven = light.copy()
     uneven[:, : light.shape[1] // 3] *= 0.3
     for image, faults in ((light, Fault(0)), (uneven, Fault.ILLUMINATION)):
         frame = np.rint(exposed(image, 2e4, 0) + offset).astype(form)
-        assert judge(frame, reconstructor.register(frame)).faults == faults
+        assert quality_checker(frame, reconstructor.register(frame)).faults == faults
 
 
 def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
@@ -211,39 +211,43 @@ def test_dim_floating_point_images_are_judged_as_bright_ones() -> None:
     reference = np.asarray(BENCH.reference / BENCH.reference.sum(), np.float32)
     camera = KnownCamera(np.zeros_like(reference))
     reconstructor = BENCH.reconstructor("cubic", pupil_modes=None, reference=reference, camera=camera)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration)
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration)
     frame = np.asarray(aberrated(1.0) / aberrated(1.0).sum() / 2, np.float32)
-    assert not judge(frame, reconstructor.register(frame)).reasons
+    assert not quality_checker(frame, reconstructor.register(frame)).reasons
 
 
 @pytest.mark.parametrize(("share", "is_found"), [(0.011, False), (0.009, True), (1e-3, True), (1e-4, True)])
 def test_light_far_below_the_reference_is_found(share: float, is_found: bool) -> None:
     """Also where so little noise remains that every lenslet matches."""
-    reconstructor, judge = measured_by("cubic", 1e5)
+    reconstructor, quality_checker = measured_by("cubic", 1e5)
     frame = np.asarray(share * 1e5 * aberrated(0.0), np.float32)
     displacement = reconstructor.register(frame)
     assert displacement.valid.all()
-    found = judge(frame, displacement)
+    found = quality_checker(frame, displacement)
     assert (Fault.ILLUMINATION in found.faults) == is_found
     if is_found:
         assert f"only {100 * share:.2g} % of the reference's light" in found.reasons[Fault.ILLUMINATION]
 
 
-def with_outcomes(outcome: Outcome, count: int) -> Fault:
+def with_outcomes(outcome: LensletStatus, count: int) -> Fault:
     """Faults of a right frame of which so many lenslets have another outcome."""
-    reconstructor, judge = measured_by("cubic", 1e4)
+    reconstructor, quality_checker = measured_by("cubic", 1e4)
     frame = exposed(aberrated(1.0), 1e4, 0)
     displacement = reconstructor.register(frame)
     outcomes = displacement.outcome.copy()
     outcomes.ravel()[:count] = outcome
-    return judge(frame, replace(displacement, outcome=outcomes)).faults
+    return quality_checker(frame, replace(displacement, outcome=outcomes)).faults
 
 
 @pytest.mark.parametrize(
     ("outcome", "most", "fault"),
-    [(Outcome.DIVERGED, 15, Fault.MISFIT), (Outcome.LEFT_CELL, 6, Fault.RANGE), (Outcome.DARK, 6, Fault.ILLUMINATION)],
+    [
+        (LensletStatus.DIVERGED, 15, Fault.MISFIT),
+        (LensletStatus.LEFT_CELL, 6, Fault.RANGE),
+        (LensletStatus.DARK, 6, Fault.ILLUMINATION),
+    ],
 )
-def test_lost_lenslets_up_to_a_share_pass(outcome: Outcome, most: int, fault: Fault) -> None:
+def test_lost_lenslets_up_to_a_share_pass(outcome: LensletStatus, most: int, fault: Fault) -> None:
     """A quarter or a tenth of 63."""
     assert with_outcomes(outcome, most) == Fault(0)
     assert with_outcomes(outcome, most + 1) == fault
@@ -258,21 +262,21 @@ def test_light_of_a_tenth_of_the_lenslets_may_differ_by_a_factor_of_2(factor: fl
 
 @pytest.mark.parametrize(("share", "is_found"), [(0.0095, False), (0.0105, True)])
 def test_one_percent_of_the_pixels_may_be_clipped(share: float, is_found: bool) -> None:
-    reconstructor, judge = measured_by("cubic", 1e4)
+    reconstructor, quality_checker = measured_by("cubic", 1e4)
     frame = exposed(aberrated(0.0), 1e4, 0)
     displacement = reconstructor.register(frame)
-    pixels = np.random.default_rng(0).permutation(np.unique(judge._sampled))
+    pixels = np.random.default_rng(0).permutation(np.unique(quality_checker._sampled))
     frame.ravel()[pixels[: round(share * pixels.size)]] = 2e4
-    assert np.mean(frame.ravel()[judge._sampled] == 2e4) == pytest.approx(share, abs=3e-4)
-    assert (Fault.CLIPPED in judge(frame, displacement).faults) == is_found
+    assert np.mean(frame.ravel()[quality_checker._sampled] == 2e4) == pytest.approx(share, abs=3e-4)
+    assert (Fault.CLIPPED in quality_checker(frame, displacement).faults) == is_found
 
 
 def test_full_well_below_full_scale_is_found() -> None:
-    reconstructor, judge = measured_by("cubic", 1e5)
+    reconstructor, quality_checker = measured_by("cubic", 1e5)
     frame = exposed(aberrated(1.0), 1e5, 0)
     clipped = np.minimum(frame, 0.8e5) + np.random.default_rng(1).normal(0, READ_NOISE_E, frame.shape)
     clipped = np.asarray(clipped, np.float32)
-    found = judge(clipped, reconstructor.register(clipped))
+    found = quality_checker(clipped, reconstructor.register(clipped))
     assert Fault.CLIPPED in found.faults
     assert "shorten the exposure" in found.sentence
 
@@ -289,23 +293,23 @@ def test_200_good_frames_raise_no_alarm(lenslets: tuple[int, int], peak_e: float
     camera = KnownCamera(np.zeros(electrons.shape, np.uint16), noise=KnownNoise(noise))
     reference = np.asarray(electrons * em_gain, np.float32)
     reconstructor = bench.reconstructor("affine", pupil_modes=None, reference=reference, camera=camera)
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, camera=camera)
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration, camera=camera)
     displacement = reconstructor.register(reference)
     for _ in range(200):
         photons = rng.poisson(electrons)
         counts = photons * em_gain if em_gain == 1 else rng.gamma(np.maximum(photons, 1e-9), em_gain)
         frame = np.rint(np.maximum(counts + rng.normal(0, READ_NOISE_E, counts.shape), 0)).astype(np.uint32)
-        assert not judge(frame, displacement).reasons
+        assert not quality_checker(frame, displacement).reasons
 
 
 def test_saturated_lenslets_are_named() -> None:
-    reconstructor, judge = measured_by("cubic", 1e4)
+    reconstructor, quality_checker = measured_by("cubic", 1e4)
     frame = exposed(aberrated(0.5), 1e4, 0)
     found = reconstructor.register(frame)
     outcome = found.outcome.copy()
-    outcome[:2] = Outcome.SATURATED
-    assert not judge(frame, found).faults
-    worse = judge(frame, replace(found, outcome=outcome))
+    outcome[:2] = LensletStatus.SATURATED
+    assert not quality_checker(frame, found).faults
+    worse = quality_checker(frame, replace(found, outcome=outcome))
     assert worse.faults == Fault.CLIPPED
     count = 2 * outcome.shape[1]
     assert worse.sentence.startswith(f"{count} of {outcome.size} lenslets are saturated: shorten the exposure")
@@ -314,29 +318,29 @@ def test_saturated_lenslets_are_named() -> None:
 def test_faults_of_the_reference_are_those_of_each_frame() -> None:
     reconstructor, _ = measured_by("cubic", 1e4)
     stale = Quality({Fault.LATTICE: "stale"})
-    judge = FrameJudge(reconstructor.subimages, reconstructor.registration, of_reference=stale)
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration, of_reference=stale)
     frame = exposed(aberrated(1.0), 1e4, 0)
-    assert judge(frame, reconstructor.register(frame)).reasons == stale.reasons
+    assert quality_checker(frame, reconstructor.register(frame)).reasons == stale.reasons
 
 
 def test_frame_without_residuals_has_no_misfit() -> None:
     """As a synthetic one; nothing is divided by zero."""
-    reconstructor, judge = measured_by("cubic", 1e4)
+    reconstructor, quality_checker = measured_by("cubic", 1e4)
     frame = exposed(aberrated(1.0), 1e4, 0)
     found = reconstructor.register(frame)
     none = replace(found, chi_square=np.zeros_like(found.chi_square), residual_rms=np.zeros_like(found.residual_rms))
-    assert judge(frame, none).faults == Fault(0)
+    assert quality_checker(frame, none).faults == Fault(0)
 
 
 @pytest.mark.slow
 def test_large_lattice_is_judged_in_parts() -> None:
     """20 x 24 lenslets: a wavefront passes, a tear does not."""
     bench = SmallBench(20, 24, rotation_rad=0.0)
-    judge = FrameJudge(bench.subimages(), bench.reconstructor().registration)
+    quality_checker = QualityChecker(bench.subimages(), bench.reconstructor().registration)
     u, v = bench.pupil_x_m / 5e-3, bench.pupil_y_m / 5e-3
     slopes = np.zeros((20, 24, 3, 2))
     slopes[:, :, 0, 0], slopes[:, :, 0, 1] = 2 * np.cos(2 * u + v), np.cos(2 * u + v)
     modes, variance = LegendreModes(3), np.full(slopes.shape, 1e-6)
-    assert judge._slope_misfit_px(converged(modes, slopes, variance), variance[:, :, 0, 0]) < 1e-3
+    assert quality_checker._slope_misfit_px(converged(modes, slopes, variance), variance[:, :, 0, 0]) < 1e-3
     slopes[5:, :, 0] *= 0.5
-    assert judge._slope_misfit_px(converged(modes, slopes, variance), variance[:, :, 0, 0]) > 0.1
+    assert quality_checker._slope_misfit_px(converged(modes, slopes, variance), variance[:, :, 0, 0]) > 0.1

@@ -122,6 +122,8 @@ def test_reference_with_a_sample_is_found(
     for image in (frame, noisy(frame, 300, 0)):
         assert sample_quality(cut(bench, image)).faults == Fault.SAMPLE
     reconstructor = bench.reconstructor(reference=frame, registration=RegistrationSettings(warp="affine"))
-    judge = estimator_with(reconstructor, Bench(sensor=bench.sensor, field=bench.field), frame).judge
-    assert Fault.SAMPLE in judge.of_reference.faults
-    assert "was the sample in the beam" in judge.of_reference.sentence
+    quality_checker = estimator_with(
+        reconstructor, Bench(sensor=bench.sensor, field=bench.field), frame
+    ).quality_checker
+    assert Fault.SAMPLE in quality_checker.of_reference.faults
+    assert "was the sample in the beam" in quality_checker.of_reference.sentence

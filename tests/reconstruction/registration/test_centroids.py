@@ -9,7 +9,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Booleans, Image
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration import prepare_registration
@@ -94,7 +94,7 @@ def test_each_star_is_displaced_independently(small_bench: SmallBench, centroids
     assert np.abs(displacement.mean - [1.5, -0.7]).max() < 0.02
 
 
-def _only_lost(displacement: Displacement, row: int, column: int, outcomes: set[Outcome]) -> None:
+def _only_lost(displacement: Displacement, row: int, column: int, outcomes: set[LensletStatus]) -> None:
     valid = np.ones((7, 9), np.bool_)
     valid[row, column] = False
     np.testing.assert_array_equal(displacement.valid, valid)
@@ -111,13 +111,13 @@ def test_lenslet_without_one_star_is_lost(
     light = still.copy()
     y, x = _star_px(small_bench, 2, 5, star)
     light[y - 3 : y + 4, x - 3 : x + 4] = 0
-    _only_lost(centroids(light, saturated=_none(light)), 2, 5, {Outcome.DARK, Outcome.DIVERGED})
+    _only_lost(centroids(light, saturated=_none(light)), 2, 5, {LensletStatus.DARK, LensletStatus.DIVERGED})
 
 
 def test_saturated_star_is_lost(small_bench: SmallBench, centroids: Centroids, still: Image) -> None:
     saturated = _none(still)
     saturated[_star_px(small_bench, 4, 1, 2)] = True
-    _only_lost(centroids(still, saturated=saturated), 4, 1, {Outcome.SATURATED})
+    _only_lost(centroids(still, saturated=saturated), 4, 1, {LensletStatus.SATURATED})
 
 
 def test_star_missing_in_reference_loses_its_lenslet(small_bench: SmallBench, still: Image) -> None:
@@ -126,7 +126,7 @@ def test_star_missing_in_reference_loses_its_lenslet(small_bench: SmallBench, st
     dusty[y - 3 : y + 4, x - 3 : x + 4] = 0
     reference = ReferenceSubimages(dusty, sensor=small_bench.sensor, lattice=small_bench.lattice, field=FIELD)
     displacement = Centroids(reference, star_x=STAR_X, star_y=STAR_Y)(still, saturated=_none(still))
-    _only_lost(displacement, 3, 6, {Outcome.DARK, Outcome.DIVERGED})
+    _only_lost(displacement, 3, 6, {LensletStatus.DARK, LensletStatus.DIVERGED})
 
 
 def test_star_displaced_towards_neighbour_is_lost(small_bench: SmallBench, centroids: Centroids) -> None:

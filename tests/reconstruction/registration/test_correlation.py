@@ -7,7 +7,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.registration import prepare_registration
@@ -79,12 +79,12 @@ def test_dark_and_saturated_lenslets_are_lost(
     bright_x, bright_y = np.rint(small_bench.lattice.lenslet_centers_px(7, 9)[4, 1]).astype(int)
     saturated[bright_y, bright_x] = True
     displacement = Correlation(reference, by_fft=by_fft)(light, saturated=saturated)
-    expected = np.full((7, 9), Outcome.CONVERGED)
-    expected[2, 5], expected[4, 1] = Outcome.DARK, Outcome.SATURATED
+    expected = np.full((7, 9), LensletStatus.CONVERGED)
+    expected[2, 5], expected[4, 1] = LensletStatus.DARK, LensletStatus.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)
     for values in (displacement.coefficients, displacement.variance, displacement.residual_rms):
-        assert np.isnan(values[expected != Outcome.CONVERGED]).all()
-        assert np.isfinite(values[expected == Outcome.CONVERGED]).all()
+        assert np.isnan(values[expected != LensletStatus.CONVERGED]).all()
+        assert np.isfinite(values[expected == LensletStatus.CONVERGED]).all()
 
 
 @pytest.mark.parametrize("by_fft", [False, True])

@@ -9,7 +9,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Outcome
+from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.itk_affine import ItkAffine
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -75,7 +75,7 @@ def test_affine_map_loses_dark_saturated_and_foreign_lenslets(bench: SmallBench,
     saturated[center[1, 2, 1], center[1, 2, 0]] = True
     displacement = ItkAffine(reference)(frame, saturated=saturated)
     expected = np.zeros((ROWS, COLUMNS))
-    expected[0, 0], expected[2, 3], expected[1, 2] = Outcome.DARK, Outcome.DIVERGED, Outcome.SATURATED
+    expected[0, 0], expected[2, 3], expected[1, 2] = LensletStatus.DARK, LensletStatus.DIVERGED, LensletStatus.SATURATED
     np.testing.assert_array_equal(displacement.outcome, expected)
     for values in (displacement.coefficients, displacement.variance, displacement.residual_rms):
         np.testing.assert_array_equal(np.isnan(values.reshape(ROWS, COLUMNS, -1)).any(axis=2), expected != 0)

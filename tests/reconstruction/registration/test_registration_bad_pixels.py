@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from support.optics import SmallBench
 
 from reconstruction.arrays import Booleans, Image
-from reconstruction.displacement import Displacement, Outcome
+from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -151,9 +151,9 @@ def test_lenslet_with_too_many_bad_pixels_is_lost(checker_bench: SmallBench, ele
         checker_bench, reference, np.where(half, PEAK_ELECTRONS, light).astype(np.float32), saturated=half
     )
     expected = np.zeros((7, 9), np.int8)
-    expected[CENTER] = Outcome.SATURATED
+    expected[CENTER] = LensletStatus.SATURATED
     np.testing.assert_array_equal(found.outcome, expected)
     assert np.isnan(found.covariance[CENTER]).all()
     dead = _register(checker_bench, np.where(half, 0, reference).astype(np.float32), light, bad=half)
-    expected[CENTER] = Outcome.DARK
+    expected[CENTER] = LensletStatus.DARK
     np.testing.assert_array_equal(dead.outcome, expected)

@@ -18,7 +18,7 @@ from reconstruction.displacement import Displacement, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.geometry import Lattice
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import worker_pool

@@ -7,7 +7,7 @@ import pytest
 from support.optics import FIELD, SmallBench
 
 from reconstruction.arrays import Image
-from reconstruction.displacement import Outcome, RegistrationMethod
+from reconstruction.displacement import LensletStatus, RegistrationMethod
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -65,10 +65,10 @@ def test_tilts_up_to_cell_edge_are_recovered(
 
 def test_lenslet_beyond_range_is_lost_with_range_used(bench: SmallBench, estimate: RegistrationMethod) -> None:
     displacement = estimate(_tilted(bench, 6.2, 0.0), saturated=_still(bench))
-    assert set(displacement.outcome.ravel()) <= {Outcome.LEFT_CELL, Outcome.DIVERGED}
-    assert np.count_nonzero(displacement.outcome == Outcome.LEFT_CELL) > 15
+    assert set(displacement.outcome.ravel()) <= {LensletStatus.LEFT_CELL, LensletStatus.DIVERGED}
+    assert np.count_nonzero(displacement.outcome == LensletStatus.LEFT_CELL) > 15
     assert np.isnan(displacement.coefficients).all()
-    left = displacement.range_used[displacement.outcome == Outcome.LEFT_CELL]
+    left = displacement.range_used[displacement.outcome == LensletStatus.LEFT_CELL]
     np.testing.assert_allclose(left, 6.2 / RANGE_PX, atol=0.05)
 
 

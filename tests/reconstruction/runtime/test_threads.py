@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_info, threadpool_limits  # type: ignore[imp
 import svwfs
 from app.bench.imaging_model import BenchModel
 from reconstruction.layers.layer_search import search_layers
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
 
 
@@ -82,7 +82,7 @@ def test_search_and_refinement_from_python_use_one_blas_thread(monkeypatch: pyte
     watch(Reconstructor, "register")
     watch(Reconstructor, "solve")
     watch(BenchModel, "image")
-    monkeypatch.setattr("reconstruction.pipeline.search_layers", partial(_noted, search_layers, seen))
+    monkeypatch.setattr("reconstruction.reconstructor.search_layers", partial(_noted, search_layers, seen))
     with threadpool_limits(2, user_api="blas"):
         reconstruct(images.frames[0])
         assert seen == {"register": {1}, "search_layers": {1}, "solve": {1}}

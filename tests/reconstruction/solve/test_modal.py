@@ -9,7 +9,7 @@ import pytest
 from support.optics import sensor_of
 
 from reconstruction.arrays import Booleans, Floats
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, diagonal_covariance
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement, LensletStatus, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_basis
@@ -50,7 +50,7 @@ def made_of(coefficients: Floats, modes: PupilModes = MODES) -> Floats:
 
 
 def measured(coefficients: Floats, covariance: Floats, valid: Booleans = ALL) -> Displacement:
-    outcome = np.where(valid, Outcome.CONVERGED, Outcome.DIVERGED).astype(np.int8)
+    outcome = np.where(valid, LensletStatus.CONVERGED, LensletStatus.DIVERGED).astype(np.int8)
     coefficients = np.where(valid[..., None, None], coefficients, np.nan)
     covariance = np.where(valid[..., None, None, None, None], covariance, np.nan)
     modes = LegendreModes(coefficients.shape[2])

@@ -15,7 +15,7 @@ from app.acquisition.session import ConnectedBench, connect
 from app.commands.measure import measure_attached
 from app.errors import Interrupted, RunError
 from app.recording.reader import Recording
-from app.results.frame_tallies import Measured
+from app.results.run_summary import Measured
 from drivers.interface import WrongState
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference

@@ -52,15 +52,15 @@ time.sleep(600)
 WINDOW = """
 import sys
 from pathlib import Path
-from app.acquisition.start_up import UnattendedRun
+from app.acquisition.start_up import HeadlessRun
 from app.acquisition.remote.connection import reach
 from app.gui.application import run_window, unattended_steps
-from app.gui.shell.access import Access
+from app.gui.shell.instrument_factory import Access
 
 connection = reach("client")
 
 def steps(window):
-    yield from unattended_steps(window, UnattendedRun(connection), 0.5)
+    yield from unattended_steps(window, HeadlessRun(connection), 0.5)
     connection.start_recording(Path(sys.argv[1])).result()
     print("sees", flush=True)
     while True:
@@ -154,16 +154,16 @@ def test_clients_see_the_state_of_each_process(small_toml: Path, tmp_path: Path)
     with instrument(refining) as running, connected() as connection:
 
         def are(*conditions: str) -> None:
-            wanted = list(zip(("instrument", "finder"), conditions, strict=False))
+            wanted = list(zip(("instrument", "background estimator"), conditions, strict=False))
             wait_until(lambda: [(each.name, each.condition) for each in connection.processes] == wanted)
 
         wait_for_wavefront(connection)
         are("alive", "alive")
         assert connection.processes[0].pid == running.pid
-        finder = connection.processes[1].pid
-        os.kill(finder, signal.SIGSTOP)
+        background_estimator = connection.processes[1].pid
+        os.kill(background_estimator, signal.SIGSTOP)
         are("alive", "frozen")
-        os.kill(finder, signal.SIGKILL)
+        os.kill(background_estimator, signal.SIGKILL)
         are("alive", "gone")
         running.send_signal(signal.SIGSTOP)
         are("frozen")

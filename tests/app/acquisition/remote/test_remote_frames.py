@@ -13,9 +13,9 @@ from support.gui_bench import make_frame
 from support.patience import wait_until
 
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Notice, RingRecord
+from app.acquisition.remote.messages import NewFrame, RingRecord
 from app.acquisition.remote.ring import RingWriter
-from app.acquisition.remote.wire import Packed
+from app.acquisition.remote.serialization import Encoded
 from app.measurement.measurement import Measurement
 
 
@@ -28,7 +28,7 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
                 frames.outdate(2)
             frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
             frames.announce(
-                Notice(ring.name, ring.write(Packed(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
+                NewFrame(ring.name, ring.write(Encoded(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
             )
             wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
         frames.close()
@@ -39,8 +39,8 @@ def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_
 def publish(ring: RingWriter, frames: RemoteFrames, count: int, *, is_shown_only: bool = False) -> None:
     """Let an instrument write a record whose frame has the index `count`, and tell of it."""
     made = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=count), None, "x")
-    ring.write(Packed(RingRecord(made, is_shown_only)), count)
-    frames.announce(Notice(ring.name, count))
+    ring.write(Encoded(RingRecord(made, is_shown_only)), count)
+    frames.announce(NewFrame(ring.name, count))
 
 
 def indices(measurements: Iterator[Measurement], count: int) -> list[int]:
@@ -102,7 +102,7 @@ def test_frame_that_two_readers_miss_is_counted_once(frames: RemoteFrames, tmp_p
 def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch: pytest.MonkeyPatch) -> None:
     """As from another container."""
     monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.0)
-    frames.announce(Notice("/proc/0/fd/3#elsewhere", 1))
+    frames.announce(NewFrame("/proc/0/fd/3#elsewhere", 1))
     wait_until(lambda: frames.error)
     assert "cannot be opened from here ([Errno 2] No such file or directory" in str(frames.error)
     assert "start it where the instrument runs" in str(frames.error)

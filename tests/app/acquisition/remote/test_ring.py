@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from app.acquisition.remote.ring import RingReader, RingWriter
-from app.acquisition.remote.wire import Packed, unpacked
+from app.acquisition.remote.serialization import Encoded, unpacked
 
 
 @pytest.fixture(params=["memory", "file"])
@@ -25,8 +25,8 @@ def ring(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         yield writer
 
 
-def record(number: int) -> Packed:
-    return Packed((number, np.full(2000, number, np.int64)))
+def record(number: int) -> Encoded:
+    return Encoded((number, np.full(2000, number, np.int64)))
 
 
 def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
@@ -58,7 +58,7 @@ def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
         for number in (1, 2, 3, 4):
             ring.write(record(number))
 
-        class Slow(Packed):
+        class Slow(Encoded):
             def write(self, buffer: memoryview) -> None:
                 seen.append(reader.read(1))  # the slot that is being replaced
                 seen.append(reader.read(5))

@@ -15,9 +15,9 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.address import file_of
-from app.acquisition.remote.messages import Answer, Command, Hello, Notice, SharedObject, Sign
+from app.acquisition.remote.messages import Answer, Command, Heartbeat, Hello, NewFrame, SharedObject
+from app.acquisition.remote.serialization import Encoded, unpacked
 from app.acquisition.remote.server import Server
-from app.acquisition.remote.wire import Packed, unpacked
 from app.measurement.measurement import Measurement
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
@@ -31,14 +31,14 @@ def test_strangers_are_not_heard(server: Server) -> None:
     with connected(takes_control=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
-            [b"wrong key", Packed(Hello("stranger", True, 0.0)).message()],
+            [b"wrong key", Encoded(Hello("stranger", True, 0.0)).message()],
             [server.address.key.encode(), b"no message"],
             [server.address.key.encode(), text_message('{"of":[]}')],
             [server.address.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
             [server.address.key.encode()],
             [b""],
-            [server.address.key.encode(), Packed(Command(1, "shut_down")).message()],  # without a hello
-            [server.address.key.encode(), Packed(Sign.ALIVE).message(), b"more"],
+            [server.address.key.encode(), Encoded(Command(1, "shut_down")).message()],  # without a hello
+            [server.address.key.encode(), Encoded(Heartbeat.ALIVE).message(), b"more"],
         ]
         for parts in messages:
             with context.socket(zmq.DEALER) as socket:
@@ -64,16 +64,16 @@ def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
 
 
 def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
-    socket.send_multipart([server.address.key.encode(), Packed(message).message()])
+    socket.send_multipart([server.address.key.encode(), Encoded(message).message()])
 
 
 def send_notices(server: Server, count: int) -> None:
     """Let the server tell of so many frames, one after the other."""
     frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
     for _ in range(count):
-        before = server._noticed
+        before = server._announced_frame
         server._publish(frame, is_shown_only=True)
-        while server._noticed == before:
+        while server._announced_frame == before:
             time.sleep(0.0005)
 
 
@@ -106,8 +106,8 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
         assert list(read_all(socket))
         send_notices(server, 20)
         assert not list(read_all(socket))
-        say(socket, server, Sign.ALIVE)
-        told = [each.count for each in read_all(socket) if isinstance(each, Notice)]
+        say(socket, server, Heartbeat.ALIVE)
+        told = [each.count for each in read_all(socket) if isinstance(each, NewFrame)]
     assert server._ring is not None
     assert told
     assert told[0] > 20

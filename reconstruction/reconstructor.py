@@ -10,9 +10,9 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement, Outcome, Outcomes, RegistrationMethod
+from reconstruction.displacement import SYSTEMATIC_PX, Displacement, LensletStatus, LensletStatuses, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, AboveDark, KnownCamera, find_bad_pixels
+from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, DarkSubtractor, KnownCamera, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
@@ -150,13 +150,13 @@ class Reconstructor:
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
     ) -> None:
-        self.frame_shape = reference.shape[0], reference.shape[-1]  # `AboveDark` checks that there are no more
-        self._above_dark = AboveDark(self.frame_shape, camera)
+        self.frame_shape = reference.shape[0], reference.shape[-1]  # `DarkSubtractor` checks that there are no more
+        self._dark_subtractor = DarkSubtractor(self.frame_shape, camera)
         self.sensor, self.lattice, self.field, self.camera = sensor, lattice, field, camera
         self.noise = camera.noise.of_frame
         self._own = own
         registration, self.reconstruction = own.named(registration, reconstruction)
-        light, _ = self._above_dark(reference, "reference")
+        light, _ = self._dark_subtractor(reference, "reference")
         if not np.mean(light) > 0:
             raise ReconstructionError(
                 "the reference shows no light above the dark: was the light on for the dark, or off for the reference?",
@@ -208,7 +208,7 @@ class Reconstructor:
         `ReconstructionError` if fewer than two lenslets match the reference, or the frame has the wrong size or is
         saturated.
         """
-        light, saturated = self._above_dark(frame, "frame")
+        light, saturated = self._dark_subtractor(frame, "frame")
         least, most = self._no_light
         if least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most:  # each lenslet would take longest
             raise ReconstructionError(f"{_NO_MATCH}: is the light on?", image="frame")
@@ -369,7 +369,9 @@ class Reconstructor:
             at_rest,
             coefficients=np.zeros_like(at_rest.coefficients),
             covariance_source=np.broadcast_to(covariance, at_rest.covariance.shape),
-            outcome=np.full_like(at_rest.outcome, Outcome.CONVERGED),  # a few lit lenslets could not carry the modes
+            outcome=np.full_like(
+                at_rest.outcome, LensletStatus.CONVERGED
+            ),  # a few lit lenslets could not carry the modes
         )
         lattice_count = len(pupil_modes(sensor, "legendre", None).degree)
         modes = pupil_modes(sensor, "legendre", min(NOISE_MODES, lattice_count))
@@ -426,15 +428,16 @@ class Reconstructor:
         )
 
 
-def _why_lost(outcome: Outcomes) -> str:
+def _why_lost(outcome: LensletStatuses) -> str:
     """Probable cause, if nearly all lenslets are lost."""
-    counts = np.bincount(outcome.ravel(), minlength=len(Outcome)).tolist()
-    left, saturated = counts[Outcome.LEFT_CELL], counts[Outcome.SATURATED]
+    counts = np.bincount(outcome.ravel(), minlength=len(LensletStatus)).tolist()
+    left, saturated = counts[LensletStatus.LEFT_CELL], counts[LensletStatus.SATURATED]
     if saturated > outcome.size / 4:
         return f"{saturated} are saturated, {TOO_BRIGHT}"
     if left > outcome.size / 4:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
-    return f"{counts[Outcome.DIVERGED]} subimages look different: another mask, out of focus, moved or partly blocked?"
+    unlike = counts[LensletStatus.DIVERGED]
+    return f"{unlike} subimages look different: another mask, out of focus, moved or partly blocked?"
 
 
 def _variance(displacement: Displacement) -> Floats:

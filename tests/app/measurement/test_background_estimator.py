@@ -15,12 +15,12 @@ from support.optics import FIELD, SmallBench
 from support.patience import HANG_S
 
 from app.bench.config import Bench
-from app.measurement.live_solver import LiveSolver, Solved
+from app.measurement.background_estimator import LiveEstimator, Solved
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.arrays import PointField
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import rms
 
@@ -45,11 +45,11 @@ def bench_of(bench: SmallBench, *, refine: bool = True) -> Bench:
     return Bench(sensor=bench.sensor, field=bench.field, lattice=bench.lattice, reconstruction=reconstruction)
 
 
-def solver_of(bench: SmallBench, reconstructor: Reconstructor, *, refine: bool = True) -> LiveSolver:
-    return LiveSolver(estimator_with(reconstructor, bench_of(bench, refine=refine), bench.reference))
+def solver_of(bench: SmallBench, reconstructor: Reconstructor, *, refine: bool = True) -> LiveEstimator:
+    return LiveEstimator(estimator_with(reconstructor, bench_of(bench, refine=refine), bench.reference))
 
 
-def until(solver: LiveSolver, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
+def until(solver: LiveEstimator, reconstructor: Reconstructor, frame: NDArray[np.float32], stage: str) -> float:
     """Refine a frame every 20 ms until the stage is reached; return the time (s)."""
     displacement, begin_s = reconstructor.register(frame), time.monotonic()
     while solver.solve(displacement, time.monotonic())[1].refinement.stage != stage:
@@ -178,7 +178,7 @@ def test_helpful_bias_in_noise_is_kept(paper_bench: SmallBench, reconstructor: R
         solver.close()
 
 
-def solve_until(solver: LiveSolver, displacement: Displacement, is_done: Callable[[], bool]) -> None:
+def solve_until(solver: LiveEstimator, displacement: Displacement, is_done: Callable[[], bool]) -> None:
     """Solve a frame every 10 ms until something is done."""
     deadline_s = time.monotonic() + HANG_S
     while not is_done():
@@ -199,9 +199,9 @@ def test_skipped_frame_has_the_bias_of_the_one_before_and_its_age(
 def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, reconstructor: Reconstructor) -> None:
     before = set(threading.enumerate())  # those of other tests may be at their last finding
     solver = solver_of(paper_bench, reconstructor, refine=False)
-    assert not solver.has_finder
+    assert not solver.has_background_estimator
     displacement = reconstructor.register(bowl(paper_bench, 1.0))
     wavefront, assumed = solver.solve(displacement, 0.0)
     assert assumed == (FREE, RefinementState())
     np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
-    assert not any(thread.name == "live-solver" for thread in set(threading.enumerate()) - before)
+    assert not any(thread.name == "live-estimator" for thread in set(threading.enumerate()) - before)

@@ -5,7 +5,7 @@ import time
 
 from app.acquisition.instrument import Status
 from app.acquisition.running_instrument import Activity
-from app.gui.panels.panel import Liveness
+from app.gui.panels.panel import DataFreshness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.measurement import Gap, Measurement
@@ -13,7 +13,7 @@ from app.measurement.sensor_region import SensorArea, lenslets_outside
 from app.progress import counted
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
-from app.results.frame_tallies import ROTATES
+from app.results.run_summary import ROTATES
 from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import NO_FAULT, Quality
@@ -24,7 +24,7 @@ _STOPPED = "the camera is stopped: Space starts it"
 _SATURATED = "saturated"  # in a problem of a frame
 
 
-class Situation:
+class AlarmTracker:
     """Follows status and failure of the acquisition."""
 
     def __init__(self) -> None:
@@ -48,25 +48,27 @@ class Situation:
         return warning(status, measurement.problem, measurement.wavefront, measurement.quality)
 
 
-def liveness(status: Status | None, failure: str, activity: Activity, measurement: Measurement | None) -> Liveness:
+def data_freshness(
+    status: Status | None, failure: str, activity: Activity, measurement: Measurement | None
+) -> DataFreshness:
     """Return how the shown frame differs from a live one."""
     if status is None or measurement is None:
         waits = activity.text or failure
-        return Liveness("WAITING" if waits else "", waits, is_grey=bool(waits))
+        return DataFreshness("WAITING" if waits else "", waits, is_grey=bool(waits))
     age_s = time.perf_counter() - measurement.exposure_end_s
     age = f"{age_s:.0f} s" if age_s < 100 else f"{age_s / 60:.0f} min"
     if measurement.file:
-        return Liveness(f"FILE {measurement.file}", "Space returns to the camera")
+        return DataFreshness(f"FILE {measurement.file}", "Space returns to the camera")
     if status.is_replay:
-        return Liveness("REPLAY", status.camera_name)
+        return DataFreshness("REPLAY", status.camera_name)
     if failure:
-        return Liveness(f"DISCONNECTED, {age} old", failure, is_grey=True)
+        return DataFreshness(f"DISCONNECTED, {age} old", failure, is_grey=True)
     is_stopped = not status.is_running and not activity.text
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
         why = _STOPPED if is_stopped else "no newer frame has come yet"
-        return Liveness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
+        return DataFreshness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
     reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
-    return Liveness("STALE" if reason else "", reason, is_grey=bool(reason))
+    return DataFreshness("STALE" if reason else "", reason, is_grey=bool(reason))
 
 
 def warning(status: Status, problem: str = "", wavefront: Wavefront | None = None, quality: Quality = NO_FAULT) -> str:

@@ -11,8 +11,8 @@ from support.wavefronts import bowl
 from support.window_tools import LENSLETS, dim_frame
 
 from app.measurement.measurement import Measurement
-from app.results.frame_tallies import Measured
 from app.results.replay import Comparison, are_alike
+from app.results.run_summary import Measured
 
 
 def rough(rms_rad: float) -> Measurement:

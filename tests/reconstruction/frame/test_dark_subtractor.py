@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import AboveDark, KnownCamera
+from reconstruction.frame.pixels import DarkSubtractor, KnownCamera
 
 SHAPE = (40, 56)
 DARK = np.random.default_rng(1).normal(100.0, 3.0, SHAPE)
@@ -20,7 +20,7 @@ def test_dark_is_subtracted_without_wrapping(kind: Any, is_contiguous: bool) -> 
     pixels = np.random.default_rng(2).integers(0, 250, (SHAPE[0], 2 * SHAPE[1])).astype(kind)
     image = np.ascontiguousarray(pixels[:, ::2]) if is_contiguous else pixels[:, ::2]
     before = image.copy()
-    light, saturated = AboveDark(SHAPE, KnownCamera(DARK, 249.5))(image, "frame")
+    light, saturated = DarkSubtractor(SHAPE, KnownCamera(DARK, 249.5))(image, "frame")
     np.testing.assert_allclose(light, image.astype(np.float64) - DARK, atol=1e-4)
     assert light.dtype == np.float32
     assert light.flags.writeable
@@ -33,19 +33,19 @@ def test_dark_is_subtracted_without_wrapping(kind: Any, is_contiguous: bool) -> 
 def test_pixels_from_full_scale_on_are_saturated(kind: Any, dark: Any) -> None:
     image = np.full(SHAPE, 150).astype(kind)
     image[3, 5], image[4, 6], image[0, 0] = 200, 255, 199
-    _, saturated = AboveDark(SHAPE, KnownCamera(dark, 199.5))(image, "frame")
+    _, saturated = DarkSubtractor(SHAPE, KnownCamera(dark, 199.5))(image, "frame")
     np.testing.assert_array_equal(np.argwhere(saturated), [[3, 5], [4, 6]])
-    _, saturated = AboveDark(SHAPE, KnownCamera(dark))(image, "frame")
+    _, saturated = DarkSubtractor(SHAPE, KnownCamera(dark))(image, "frame")
     assert not saturated.any()
     for clipped, full_scale in ((255, 199.5), (200, 200.0)):
         image[:2] = clipped
         with pytest.raises(ReconstructionError, match="the frame is saturated"):
-            AboveDark(SHAPE, KnownCamera(dark, full_scale))(image, "frame")
+            DarkSubtractor(SHAPE, KnownCamera(dark, full_scale))(image, "frame")
 
 
 def test_without_a_dark_the_darkest_percent_is_the_background() -> None:
     image = np.random.default_rng(3).integers(80, 4000, SHAPE).astype(np.uint16)
-    light, _ = AboveDark(SHAPE, KnownCamera())(image, "frame")
+    light, _ = DarkSubtractor(SHAPE, KnownCamera())(image, "frame")
     np.testing.assert_allclose(light, image - np.percentile(image, 1.0), atol=1e-2)
 
 
@@ -60,4 +60,4 @@ def test_without_a_dark_the_darkest_percent_is_the_background() -> None:
 )
 def test_other_images_are_refused(image: Any, text: str) -> None:
     with pytest.raises(ReconstructionError, match=text):
-        AboveDark(SHAPE, KnownCamera(DARK))(image, "frame")
+        DarkSubtractor(SHAPE, KnownCamera(DARK))(image, "frame")

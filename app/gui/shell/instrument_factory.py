@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Access:
+class InstrumentFactory:
     """Makes and begins an acquisition, and another one after each reconnection."""
 
     make: Callable[[], RunningInstrument]

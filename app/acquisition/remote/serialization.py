@@ -32,7 +32,7 @@ class Absent(Exception):
     """An object that a message refers to has not arrived."""
 
 
-class Packed:
+class Encoded:
     """A value ready to be written: its text, and its arrays at their places behind it."""
 
     def __init__(self, value: object, numbered: Numbered = lambda _: None) -> None:
@@ -99,7 +99,7 @@ def _unknown(number: int) -> Any:
 
 
 def unpacked(buffer: bytes | bytearray | memoryview, find: Callable[[int], Any] = _unknown) -> Any:
-    """Read what `Packed` wrote, with arrays as read-only views; `find` returns an object by number.
+    """Read what `Encoded` wrote, with arrays as read-only views; `find` returns an object by number.
 
     Raises
     ------

@@ -12,22 +12,22 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.guarded_instrument import bench_toml, children, is_gone
 from support.patience import HANG_S, wait_until
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
+from support.watchdog_instrument import bench_toml, children, is_gone
 
 pytestmark = pytest.mark.slow
 
 KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
-GONE = "the guardian of the light has ended; the light was switched off: open the bench again"
+GONE = "the watchdog of the light has ended; the light was switched off: open the bench again"
 
 HOLDER = """
 import sys, time
-from app.acquisition.guarded_light import GuardedLight
+from app.acquisition.watchdog_light import WatchdogLight
 from drivers.serial_lights import DC4100Settings
 
-light = GuardedLight(DC4100Settings(port=sys.argv[1]))
+light = WatchdogLight(DC4100Settings(port=sys.argv[1]))
 light.keep_alive(1000)  # as before long work
 light.set_on(True)
 print("holds", flush=True)
@@ -43,7 +43,7 @@ time.sleep(600)
 INSTRUMENT = """
 import sys, time
 from pathlib import Path
-from support.wires.dcam.stand_in import StandIn
+from support.stand_ins.dcam.stand_in import StandIn
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
@@ -88,7 +88,7 @@ def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[s
             program.kill()
 
 
-@pytest.mark.parametrize("victim", ["instrument", "guardian", "all of the terminal"])
+@pytest.mark.parametrize("victim", ["instrument", "watchdog", "all of the terminal"])
 @pytest.mark.parametrize(
     "number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
 )
@@ -98,20 +98,20 @@ def test_light_goes_off_whatever_dies_or_freezes(
     bench = bench_toml(lamp_port.port, tmp_path)
     for _ in range(KILLS):
         with lit_instrument(bench, lamp) as program:
-            (guardian,) = children(program.pid)
+            (watchdog,) = children(program.pid)
             lightings = lamp.log.lightings
             if victim == "all of the terminal":
                 os.killpg(program.pid, number)
             else:
-                os.kill(guardian if victim == "guardian" else program.pid, number)
+                os.kill(watchdog if victim == "watchdog" else program.pid, number)
             wait_until(lambda: not lamp.log.is_lit)
-            if victim != "guardian":
+            if victim != "watchdog":
                 program.kill()
             _, errors = program.communicate(timeout=HANG_S)
-            wait_until(lambda: is_gone(guardian))  # noqa: B023 - called here
+            wait_until(lambda: is_gone(watchdog))  # noqa: B023 - called here
             assert not lamp.is_lit
             assert lamp.log.lightings == lightings  # it was not lit again
-            if victim == "guardian":
+            if victim == "watchdog":
                 assert GONE in errors
                 assert program.returncode == 1
             elif number == signal.SIGSTOP:
@@ -129,19 +129,19 @@ def holder(lamp_port: PtyServer) -> Iterator[subprocess.Popen[str]]:
     ) as program:
         assert program.stdout is not None
         assert program.stdout.readline() == "holds\n"
-        (guardian,) = children(program.pid)
+        (watchdog,) = children(program.pid)
         try:
             yield program
         finally:
             program.kill()
-            wait_until(lambda: is_gone(guardian))  # it holds the terminal, whose number the next test may get again
+            wait_until(lambda: is_gone(watchdog))  # it holds the terminal, whose number the next test may get again
 
 
 @pytest.mark.parametrize("wakes", [False, True])
 def test_light_goes_off_if_the_process_freezes_amid_long_work(
     lamp_port: PtyServer, lamp: DC4100Wire, *, wakes: bool
 ) -> None:
-    """The worker need not give a sign of life for long, but its process answers the guardian."""
+    """The worker need not give a sign of life for long, but its process answers the watchdog."""
     with holder(lamp_port) as program:
         time.sleep(2.0)
         assert lamp.is_lit

@@ -1,7 +1,7 @@
-"""The guardian: a process that holds the light, and switches it off when the instrument fails.
+"""The watchdog: a process that holds the light, and switches it off when the instrument fails.
 
 The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
-promise to send a sign of life. `GuardedLight` calls the light through it, over JSON lines: first the settings of the
+promise to send a sign of life. `WatchdogLight` calls the light through it, over JSON lines: first the settings of the
 light; then [number, method, argument...], answered by {"to": number, "value": ...} or {"to": number, "error": class,
 "text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose promise every
 call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the instrument
@@ -25,7 +25,7 @@ from app.bench.device_kinds import DRIVERS
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
 
-PULSE_S = 0.25  # between two signs of life of the guardian
+PULSE_S = 0.25  # between two signs of life of the watchdog
 STARTING_PULSES = 240  # before the first one is heard: a cold disk takes long to import
 _SILENT_PULSES = 6  # without an answer or any work, and the instrument counts as frozen
 _HANGING_PULSES = 40  # in one call of the light: drivers give up after 8 s (DC2200) or less

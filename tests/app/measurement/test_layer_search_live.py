@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 from support.estimators import estimator_with
 from support.optics import SmallBench
 from support.patience import HANG_S, wait_until
-from test_live_solver import bench_of, solver_of, until
+from test_background_estimator import bench_of, solver_of, until
 
+from app.measurement.background_estimator import BackgroundEstimator, BackgroundEstimatorProcess, LiveEstimator, Solved
+from app.measurement.background_estimator import _are_alike as are_alike
 from app.measurement.estimator import Estimator
-from app.measurement.live_solver import Finder, FinderProcess, LiveSolver, Solved
-from app.measurement.live_solver import _are_alike as are_alike
 from app.measurement.measurement import Assumptions, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
-from reconstruction.pipeline import Reconstructor
+from reconstruction.reconstructor import Reconstructor
 from reconstruction.wavefront import Wavefront
 
 
@@ -35,7 +35,7 @@ def behind_layer(bench: SmallBench, ratio: float) -> NDArray[np.float32]:
     return bench.frame(phase)
 
 
-def until_ratio(solver: LiveSolver, displacement: Displacement, ratio: float) -> tuple[Wavefront, Assumptions]:
+def until_ratio(solver: LiveEstimator, displacement: Displacement, ratio: float) -> tuple[Wavefront, Assumptions]:
     """Solve a frame every 20 ms until one layer at about that ratio is assumed."""
     begin_s = time.monotonic()
     while True:
@@ -99,30 +99,30 @@ def test_samples_within_their_errors_are_alike(
 
 
 @pytest.fixture
-def apart(monkeypatch: pytest.MonkeyPatch) -> list[FinderProcess]:
-    """Processes of finders; each solver starts one."""
-    started = list[FinderProcess]()
+def apart(monkeypatch: pytest.MonkeyPatch) -> list[BackgroundEstimatorProcess]:
+    """Processes of background estimators; each solver starts one."""
+    started = list[BackgroundEstimatorProcess]()
 
-    def start(estimator: Estimator) -> FinderProcess:
-        started.append(FinderProcess(estimator))
+    def start(estimator: Estimator) -> BackgroundEstimatorProcess:
+        started.append(BackgroundEstimatorProcess(estimator))
         return started[-1]
 
-    monkeypatch.setattr("app.measurement.live_solver.FinderProcess", start)
+    monkeypatch.setattr("app.measurement.background_estimator.BackgroundEstimatorProcess", start)
     return started
 
 
 @pytest.mark.slow
 def test_process_finds_what_a_finder_in_this_process_finds(
-    paper_bench: SmallBench, layered: Reconstructor, apart: list[FinderProcess]
+    paper_bench: SmallBench, layered: Reconstructor, apart: list[BackgroundEstimatorProcess]
 ) -> None:
     estimator = estimator_with(layered, bench_of(paper_bench), paper_bench.reference)
-    solver, displacement = LiveSolver(estimator), layered.register(behind_layer(paper_bench, -0.8))
+    solver, displacement = LiveEstimator(estimator), layered.register(behind_layer(paper_bench, -0.8))
     try:
         _, (sample, refinement) = until_ratio(solver, displacement, -0.8)
         later = solver.solve(displacement, time.monotonic())[1].sample
     finally:
         solver.close()
-    here = Finder(estimator)
+    here = BackgroundEstimator(estimator)
     here.prepare()
     found = here.find(Solved(displacement, 0.0, Assumptions(None, RefinementState("preparing"))))
     assert found.sample is not None
@@ -144,7 +144,7 @@ def test_close_ends_the_process_amid_its_work(
     until_ratio(solver, displacement, -0.8)
     solver.solve(layered.register(behind_layer(paper_bench, 0.5)), 1.0)  # the bias of another wavefront is due
     solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+    wait_until(lambda: not any(thread.name == "live-estimator" for thread in threading.enumerate()))
     assert not raised
 
 
@@ -153,7 +153,7 @@ def test_close_ends_the_process_amid_its_work(
 def test_process_that_dies_is_reported_and_frames_go_on(
     paper_bench: SmallBench,
     layered: Reconstructor,
-    apart: list[FinderProcess],
+    apart: list[BackgroundEstimatorProcess],
     capsys: pytest.CaptureFixture[str],
     *,
     has_found: bool,
@@ -167,5 +167,5 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     assert sample is not None  # nobody waits for one
     assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
     solver.close()
-    wait_until(lambda: not any(thread.name == "live-solver" for thread in threading.enumerate()))
+    wait_until(lambda: not any(thread.name == "live-estimator" for thread in threading.enumerate()))
     assert capsys.readouterr().err == f"svwfs: {state.problem}\n"

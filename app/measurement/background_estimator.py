@@ -56,7 +56,7 @@ class Found(NamedTuple):
     idle_s: float = 0.0  # time until there is something to find, unless the wavefront changes
 
 
-class Finder:
+class BackgroundEstimator:
     """Finds sample and bias for the frames of one estimator, one frame after the other."""
 
     def __init__(self, estimator: Estimator) -> None:
@@ -117,8 +117,8 @@ class Finder:
         return min(self._search_due_s - time.monotonic(), _LONGEST_REST_S)
 
 
-class FinderProcess:
-    """A finder in a process of its own, with which it shares its interface."""
+class BackgroundEstimatorProcess:
+    """A background estimator in a process of its own, with which it shares its interface."""
 
     def __init__(self, estimator: Estimator) -> None:
         """Start the process; later, frames may change what the estimator remembers while it is pickled."""
@@ -128,14 +128,14 @@ class FinderProcess:
         self._sample: AssumedSample | None = FREE
 
     def prepare(self) -> None:
-        """See `Finder.prepare`; `EOFError` or `OSError` if the process has ended."""
+        """See `BackgroundEstimator.prepare`; `EOFError` or `OSError` if the process has ended."""
         self._process.send(self._estimator)
         self._estimator = b""
         if problem := self._process.receive():
             raise ReconstructionError(problem)
 
     def find(self, newest: Solved) -> Found:
-        """See `Finder.find`; `EOFError` or `OSError` if the process has ended."""
+        """See `BackgroundEstimator.find`; `EOFError` or `OSError` if the process has ended."""
         measured = replace(newest.measured, transmission_source=None)  # costly, not used
         self._process.send(newest._replace(measured=measured))
         found: Found = self._process.receive()
@@ -153,17 +153,17 @@ class FinderProcess:
 
 
 def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
-    """Be the process of a `FinderProcess`."""
-    finder = Finder(pickle.loads(next(messages)))  # noqa: S301 - our own parent wrote it
+    """Be the process of a `BackgroundEstimatorProcess`."""
+    background_estimator = BackgroundEstimator(pickle.loads(next(messages)))  # noqa: S301 - our own parent wrote it
     with one_blas_thread():
         try:
-            finder.prepare()
+            background_estimator.prepare()
         except ReconstructionError as error:
             answer(str(error))
             return
         answer("")
         for newest in messages:
-            answer(finder.find(newest))
+            answer(background_estimator.find(newest))
 
 
 def _are_the_same(one: AssumedSample, other: AssumedSample) -> bool:
@@ -185,32 +185,34 @@ _WAIT_S = 0.2
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
 
 
-class LiveSolver:
+class LiveEstimator:
     """Solves for one estimator's frames; its thread ends soon after `close`."""
 
     def __init__(self, estimator: Estimator) -> None:
-        """Start finder and thread if there is anything to find."""
+        """Start background estimator and thread if there is anything to find."""
         self._reconstructor = estimator.reconstructor
         searches = self._reconstructor.may_be_layered
         self._refines = estimator.calibration.bench.reconstruction.refine
         self._newest: Solved | None = None  # one slot each way, written by one thread
         self._found = Found(None if searches else FREE)
         self._something_new, self._closing = threading.Event(), threading.Event()
-        self.has_finder = searches or self._refines
-        self._finder = FinderProcess(estimator) if self.has_finder else None
-        if self._finder is not None:
-            threading.Thread(target=self._work, args=(self._finder,), name="live-solver", daemon=True).start()
+        self.has_background_estimator = searches or self._refines
+        self._background_estimator = BackgroundEstimatorProcess(estimator) if self.has_background_estimator else None
+        if self._background_estimator is not None:
+            threading.Thread(
+                target=self._work, args=(self._background_estimator,), name="live-estimator", daemon=True
+            ).start()
 
     @property
     def process(self) -> Popen[bytes] | None:
-        """The process of the finder, if it has one."""
-        return None if self._finder is None else self._finder.process
+        """The process of the background estimator, if it has one."""
+        return None if self._background_estimator is None else self._background_estimator.process
 
     def close(self) -> None:
         """Stop at once."""
         self._closing.set()
-        if self._finder is not None:
-            self._finder.stop()
+        if self._background_estimator is not None:
+            self._background_estimator.stop()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
         """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies."""
@@ -250,17 +252,17 @@ class LiveSolver:
         problem = self._found.problem
         return RefinementState("failed" if problem else "preparing", problem=problem)
 
-    def _work(self, finder: FinderProcess) -> None:
-        """Let the finder look at the newest frame again and again; it rests as long as it worked, or is idle."""
+    def _work(self, background_estimator: BackgroundEstimatorProcess) -> None:
+        """Have the newest frame searched again and again, with a rest as long as the work, or while idle."""
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         try:
-            finder.prepare()
+            background_estimator.prepare()
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
                     newest, begin_s = self._newest, time.monotonic()
-                    found = finder.find(newest)
+                    found = background_estimator.find(newest)
                     self._use(found, newest)
                     self._rest(max(min(time.monotonic() - begin_s, _CORRECTION_REST_S), found.idle_s))
         except ReconstructionError as error:
@@ -274,7 +276,7 @@ class LiveSolver:
             if not self._closing.is_set():  # else Python may end
                 raise
         finally:
-            finder.close()
+            background_estimator.close()
 
     def _give_up(self, problem: str) -> None:
         """Let frames go on with the sample found last, or with any wavefront: nobody is to wait for more."""

@@ -35,7 +35,7 @@ _FULL_SCALE = 65535  # without a calibration
 _ROUNDING = 1 / 6  # variance of the difference of two rounded numbers, counts^2
 
 
-def recorded_devices(recording: Recording, frames: range, *, pace: Pace, repeat: bool) -> Devices:
+def playback_devices(recording: Recording, frames: range, *, pace: Pace, repeat: bool) -> Devices:
     """Open the devices that play some frames of a recording while the light is on and the sample in."""
     with ExitStack() as stack:
         camera = stack.enter_context(RecordedCamera(recording, frames, pace=pace, repeat=repeat))

@@ -18,12 +18,12 @@ from app.measurement.estimator import ROUNDS, Estimator, mask_sentence
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise, TransferCurve
-from reconstruction.frame.pixels import AboveDark, KnownCamera
+from reconstruction.frame.pixels import DarkSubtractor, KnownCamera
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
 from reconstruction.layers.layer_solver import FrameEquations
-from reconstruction.pipeline import NO_OWN, OwnBasis, OwnMethods, OwnRegistration
 from reconstruction.quality.verdict import Quality
+from reconstruction.reconstructor import NO_OWN, OwnBasis, OwnMethods, OwnRegistration
 from reconstruction.refinement import Round
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront
@@ -38,7 +38,7 @@ def reconstructor(
     frame: Counts | None = None,
     registration: OwnRegistration | None = None,
     basis: OwnBasis | None = None,
-) -> BenchReconstructor:
+) -> OfflineReconstructor:
     """Prepare the reconstruction of frames against a reference.
 
     The camera's noise, which weights lenslets and gives error bars, is estimated from reference and `frame`. Without
@@ -66,7 +66,7 @@ def reconstructor(
 
     Returns
     -------
-    BenchReconstructor
+    OfflineReconstructor
         Call it with a frame (row, column) to get its `Wavefront`: `.views` in rad (view_row, view_column, lenslet_row,
         lenslet_column), `.at(x_m, y_m)` for numbers or arrays, `.sigma()`, `.coefficients`, `.displacement`.
 
@@ -85,13 +85,13 @@ def reconstructor(
     True
     """
     own = OwnMethods(registration, basis)
-    made = BenchReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, own=own)
+    made = OfflineReconstructor(as_bench(bench), reference, dark=dark, full_scale=full_scale, own=own)
     if frame is not None:
         made.prepare(frame)
     return made
 
 
-def refine(reconstructor: BenchReconstructor, frame: Counts, rounds: int = ROUNDS) -> Wavefront:
+def refine(reconstructor: OfflineReconstructor, frame: Counts, rounds: int = ROUNDS) -> Wavefront:
     """Reconstruct a frame and remove the estimator's bias with the forward model of the bench.
 
     Parameters
@@ -155,7 +155,7 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
     return survey(as_image(reference, "reference"), as_bench(bench).sensor, dark=background).lattice
 
 
-class BenchReconstructor:
+class OfflineReconstructor:
     """Turns frames of one bench into wavefronts; `reconstructor` makes it.
 
     It is prepared with the first frame that is reconstructed, unless `prepare` was called before.
@@ -218,7 +218,7 @@ class BenchReconstructor:
             given = self._calibration
             known, full_scale = KnownNoise(curve=given.transfer_of(given.reference.mean)), given.full_scale
             if frame is not None:
-                AboveDark(given.reference.mean.shape, KnownCamera())(frame, "frame")  # refuses one of another size
+                DarkSubtractor(given.reference.mean.shape, KnownCamera())(frame, "frame")  # refuses one of another size
                 known = _known_noise(given.transfer_of(frame), known.curve)
                 if not self._is_scale_given:
                     full_scale = min(full_scale, full_scale_of(frame, self.bench.camera_model.bits))

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
-from app.acquisition.remote.wire import Packed
+from app.acquisition.remote.serialization import Encoded
 from app.errors import RunError
 from drivers.errors import BadValue
 
@@ -18,7 +18,7 @@ ANSWER_S = 5.0  # for a command to be accepted, and for the first state
 _ON_ITS_WAY_S = 1.0  # for the news that it was accepted
 
 
-class Outbox:
+class PendingCommands:
     """Takes commands from any thread, for the one that sends them."""
 
     def __init__(self, loss: Callable[[], Exception]) -> None:
@@ -35,7 +35,7 @@ class Outbox:
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
         try:
-            nbytes = Packed(command).nbytes
+            nbytes = Encoded(command).nbytes
         except TypeError as refusal:
             future.set_exception(refusal)
             return future
@@ -61,7 +61,7 @@ class Outbox:
                 if command.number in self._unanswered:
                     self._unanswered[command.number] = self._unanswered[command.number][0], now_s
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
-        return [Packed(replace(command, until_s=until_s)).message() for command in taken]
+        return [Encoded(replace(command, until_s=until_s)).message() for command in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

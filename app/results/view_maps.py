@@ -10,11 +10,11 @@ import numpy as np
 from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.results.frame_tallies import noise_above_rms
+from app.results.run_summary import noise_above_rms
 from reconstruction.arrays import Floats, Image
-from reconstruction.displacement import Displacement, Outcome, field_means
+from reconstruction.displacement import Displacement, LensletStatus, field_means
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import AboveDark, find_bad_pixels
+from reconstruction.frame.pixels import DarkSubtractor, find_bad_pixels
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
@@ -31,7 +31,7 @@ class LensletInspection:
 
     row: int
     column: int
-    outcome: Outcome
+    outcome: LensletStatus
     reference: Floats
     frame: Floats
     fitted: Floats | None  # the frame warped back onto the reference, with its gain and offset; None if lost
@@ -53,8 +53,8 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     if not (row < rows and column < columns):
         return None
     try:
-        above_dark, subimages = _prepared(calibration)
-        light, saturated = above_dark(measurement.frame.pixels, "frame")
+        dark_subtractor, subimages = _prepared(calibration)
+        light, saturated = dark_subtractor(measurement.frame.pixels, "frame")
     except ReconstructionError:
         return None
     coefficients = subimages.spline(light, saturated=saturated)
@@ -74,7 +74,7 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     return LensletInspection(
         row,
         column,
-        Outcome(int(displacement.outcome[row, column])),
+        LensletStatus(int(displacement.outcome[row, column])),
         reference.reshape(square),
         np.asarray(frame, np.float64).reshape(square),
         fitted,
@@ -86,11 +86,11 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
 
 
 @kept_while_alive(maxsize=1)
-def _prepared(calibration: Calibration) -> tuple[AboveDark, ReferenceSubimages]:
+def _prepared(calibration: Calibration) -> tuple[DarkSubtractor, ReferenceSubimages]:
     """Light as the registration sees it, and its subimages of the reference."""
     reference = calibration.reference.mean
-    above_dark = AboveDark(reference.shape, calibration.camera)
-    light, _ = above_dark(reference, "reference")
+    dark_subtractor = DarkSubtractor(reference.shape, calibration.camera)
+    light, _ = dark_subtractor(reference, "reference")
     subimages = ReferenceSubimages(
         light,
         sensor=calibration.bench.sensor,
@@ -98,7 +98,7 @@ def _prepared(calibration: Calibration) -> tuple[AboveDark, ReferenceSubimages]:
         field=calibration.bench.field,
         bad=find_bad_pixels(reference, calibration.dark_image),
     )
-    return above_dark, subimages
+    return dark_subtractor, subimages
 
 
 def _warped(

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-from support.wires.serial import LineDevice
+from support.stand_ins.serial import LineDevice
 
 _LAMPS_NM = {"A": (365, 385, 405, 435), "B": (460, 470, 490, 500), "C": (525, 550, 580, 595), "D": (635, 660, 740, 770)}
 

@@ -7,7 +7,7 @@ Rev. 2.2, page 28. Error numbers and texts are undocumented, and invented here.
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from support.wires.serial import LineDevice
+from support.stand_ins.serial import LineDevice
 
 _ALL = -1
 _VALUE_ERROR, _COMMAND_ERROR, _STATE_ERROR = 2, 1, 3

@@ -5,7 +5,7 @@ from datetime import datetime
 from typing import Literal
 
 from app.measurement.averages import Average
-from app.measurement.routines import Circumstances
+from app.measurement.routines import AcquisitionSettings
 from app.progress import counted
 from drivers.interface import Region
 
@@ -37,11 +37,11 @@ class AverageState:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Taken:
     average: Average
-    circumstances: Circumstances
+    settings_then: AcquisitionSettings
     state: AverageState  # without doubt
 
 
-class KeptAverages:
+class DarkReferenceStore:
     """The average in use, and the newest of each region and binning, and if lit of each mask."""
 
     def __init__(self, what: str, *, is_lit: bool) -> None:
@@ -55,7 +55,7 @@ class KeptAverages:
         """The average in use."""
         return None if self._used is None else self._used.average
 
-    def keep(self, average: Average, now: Circumstances) -> None:
+    def keep(self, average: Average, now: AcquisitionSettings) -> None:
         """Use a new average, and keep it in place of an older one of the same region and mask."""
         time = datetime.now().astimezone()
         how = (
@@ -70,7 +70,7 @@ class KeptAverages:
         if len(self._kept) > _MOST:
             del self._kept[next(iter(self._kept))]
 
-    def use_recorded(self, average: Average | None, now: Circumstances) -> None:
+    def use_recorded(self, average: Average | None, now: AcquisitionSettings) -> None:
         """Use an average of a recording, or none; circumstances that it lacks are assumed unchanged."""
         self._used = None
         if average is not None:
@@ -78,25 +78,25 @@ class KeptAverages:
             then = replace(now, exposure_s=exposure_s, em_gain=em_gain, amplifier=amplifier)
             self._used = _Taken(average, then, AverageState("as recorded"))
 
-    def choose(self, now: Circumstances) -> None:
+    def choose(self, now: AcquisitionSettings) -> None:
         """Use the average that was taken of the current region and with the current mask, if there is one."""
         self._used = self._kept.get(self._key(now), self._used)
 
-    def fitting(self, now: Circumstances) -> Average | None:
+    def fitting(self, now: AcquisitionSettings) -> Average | None:
         """Return the average in use if it shows the same pixels as the current frames."""
-        fits = self._used is not None and self._used.circumstances.shows_same_pixels(now)
+        fits = self._used is not None and self._used.settings_then.shows_same_pixels(now)
         return self.average if fits else None
 
-    def doubt(self, now: Circumstances) -> str:
+    def doubt(self, now: AcquisitionSettings) -> str:
         """Return why the average does not fit the current frames; empty if it does."""
         if self._used is None:
             return f"no {self._what} yet: {'take one' if self._is_lit else 'the background is a guess'}"
-        changed = self._used.circumstances.difference(now, is_lit=self._is_lit)
+        changed = self._used.settings_then.difference(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
     def state(self, doubt: str) -> AverageState:
         """Return the state of the average in use; `doubt` is why it is doubtful, or empty."""
         return replace(AverageState() if self._used is None else self._used.state, doubt=doubt)
 
-    def _key(self, circumstances: Circumstances) -> tuple[Region, int, str]:
-        return circumstances.region, circumstances.binning, circumstances.mask if self._is_lit else ""
+    def _key(self, settings_then: AcquisitionSettings) -> tuple[Region, int, str]:
+        return settings_then.region, settings_then.binning, settings_then.mask if self._is_lit else ""

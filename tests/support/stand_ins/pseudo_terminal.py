@@ -8,7 +8,7 @@ import tty
 from collections import deque
 from typing import Self
 
-from support.wires.serial import LineDevice
+from support.stand_ins.serial import LineDevice
 
 _SLICE_S = 0.005
 

@@ -9,8 +9,8 @@ import pytest
 from support.gui_bench import BENCH, SENSOR
 from support.wavefronts import U, V, bowl
 
-from app.results.frame_tallies import noise_above_rms
-from app.results.view_analysis import Quantity, QuantityMaps, quantity_maps, transmission_maps, view_numbers
+from app.results.run_summary import noise_above_rms
+from app.results.view_maps import Quantity, QuantityMaps, quantity_maps, transmission_maps, view_numbers
 from reconstruction.displacement import Transmission
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.wavefront import Wavefront, without_piston

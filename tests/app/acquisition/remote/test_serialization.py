@@ -17,7 +17,7 @@ from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
 
 from app.acquisition.remote.messages import Arrivals, Command, SharedObjects, portable_error
-from app.acquisition.remote.wire import Absent, Packed, unpacked
+from app.acquisition.remote.serialization import Absent, Encoded, unpacked
 from app.bench.config import load_bench
 from app.errors import InputError, RunError
 from drivers.interface import Disconnected
@@ -42,7 +42,7 @@ VALUES = some.recursive(
 
 
 def there_and_back(value: object) -> Any:
-    return unpacked(Packed(value).message())
+    return unpacked(Encoded(value).message())
 
 
 def assert_same(found: Any, sent: Any) -> None:
@@ -115,7 +115,7 @@ def test_nothing_but_plain_data_of_this_program_arrives(plain: object) -> None:
 
 @pytest.mark.parametrize("kept", [0, 7, 8, 64, 80, -60])
 def test_a_message_that_is_cut_short_is_refused(kept: int) -> None:
-    message = bytes(Packed(Command(1, "take_dark", (np.arange(50),))).message())
+    message = bytes(Encoded(Command(1, "take_dark", (np.arange(50),))).message())
     with pytest.raises(RunError, match="cannot be read"):
         unpacked(message[:kept])
 
@@ -144,7 +144,7 @@ def test_objects_arrive_once_and_are_kept_as_long_as_messages_have_their_numbers
     others = [replace(bench) for _ in range(10)]
     sent = 0
     for count, other in enumerate(others, start=2):
-        message = Packed((bench, other), shared_objects.number).message()
+        message = Encoded((bench, other), shared_objects.number).message()
         for shared in shared_objects.after(sent):
             arrivals.keep(there_and_back(shared))
             sent = shared.number

@@ -1,4 +1,4 @@
-"""The light in its guardian: calls, errors, signs of life, and ends of the guardian."""
+"""The light in its watchdog: calls, errors, signs of life, and ends of the watchdog."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from support.guarded_instrument import children, is_gone
 from support.gui_bench import BENCH, FakeCamera
 from support.light_contract import LightContract
 from support.patience import HANG_S, own_time, wait_until
-from support.wires.dc4100 import DC4100Wire
-from support.wires.pseudo_terminal import PtyServer
-from support.wires.serial import LineFault
+from support.stand_ins.dc4100 import DC4100Wire
+from support.stand_ins.pseudo_terminal import PtyServer
+from support.stand_ins.serial import LineFault
+from support.watchdog_instrument import children, is_gone
 
-from app.acquisition.guarded_light import GuardedLight
-from app.acquisition.guardian import switch_off
 from app.acquisition.instrument import Condition, Instrument, ProcessState
+from app.acquisition.watchdog import switch_off
+from app.acquisition.watchdog_light import WatchdogLight
 from app.progress import run_in_thread
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected, WrongState
 from drivers.interface import Devices, LightSource
@@ -31,7 +31,7 @@ from drivers.serial_lights import DC4100Settings
 
 @pytest.fixture
 def reopen(lamp_port: PtyServer) -> Callable[[], LightSource]:
-    return lambda: GuardedLight(DC4100Settings(port=lamp_port.port))
+    return lambda: WatchdogLight(DC4100Settings(port=lamp_port.port))
 
 
 @pytest.fixture
@@ -60,7 +60,7 @@ def test_light_with_signs_of_life_stays_on(light: LightSource, lamp: DC4100Wire)
     """Each promise replaces the one before."""
 
     def has_promised() -> bool:
-        """False if this process or the guardian was stopped too long amid the promises."""
+        """False if this process or the watchdog was stopped too long amid the promises."""
         light.set_on(True)
         light.keep_alive(0.2)
         light.keep_alive(60)
@@ -104,12 +104,12 @@ def test_guardian_ends_if_its_pipe_closes_while_it_asks_for_its_parent(
         "import os, time\nparent = os.getppid()\nos.getppid = lambda: time.sleep(1) or parent\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light = WatchdogLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
-    assert light.guardian.stdin is not None
+    assert light.watchdog.stdin is not None
     time.sleep(0.5)  # now it asks
-    light.guardian.stdin.close()
-    assert light.guardian.wait(HANG_S) == 0
+    light.watchdog.stdin.close()
+    assert light.watchdog.wait(HANG_S) == 0
     assert not lamp.is_lit
     with pytest.raises(WrongState, match="closed"):
         light.close()
@@ -132,17 +132,17 @@ def test_light_that_cannot_be_opened_leaves_no_process(lamp_port: PtyServer) -> 
     lamp_port.close()
     before = children(os.getpid())
     with pytest.raises(Disconnected, match=lamp_port.port):
-        GuardedLight(DC4100Settings(port=lamp_port.port))
+        WatchdogLight(DC4100Settings(port=lamp_port.port))
     assert children(os.getpid()) == before
 
 
 def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(lamp_port: PtyServer) -> None:
     before = children(os.getpid())
-    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light = WatchdogLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
-    (guardian,) = children(os.getpid()) - before
+    (watchdog,) = children(os.getpid()) - before
     lamp_port.unplug()
-    os.kill(guardian, signal.SIGKILL)
+    os.kill(watchdog, signal.SIGKILL)
     with pytest.raises(Disconnected, match="may still be on: switch it off by hand"):
         _ = light.is_on
     light.close()
@@ -152,12 +152,12 @@ def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(lamp_port: Pty
 def test_light_whose_call_hangs_is_taken_back(
     reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A call that hangs in the kernel lets the other threads of the guardian run."""
+    """A call that hangs in the kernel lets the other threads of the watchdog run."""
     os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
     replace_method("properties", f"open({str(nobody_writes)!r})", tmp_path, monkeypatch)
     with reopen() as light:
         light.set_on(True)
-        with pytest.raises(Disconnected, match="the guardian of the light has ended; the light was switched off"):
+        with pytest.raises(Disconnected, match="the watchdog of the light has ended; the light was switched off"):
             light.properties()
         assert not lamp.is_lit
 
@@ -172,8 +172,8 @@ def test_guardian_whose_call_hangs_ends_if_the_instrument_was_killed(
         "properties", f"open({str(called)!r}, 'w').close() or open({str(nobody_writes)!r})", tmp_path, monkeypatch
     )
     code = (
-        "import sys; from app.acquisition.guarded_light import GuardedLight;"
-        " from drivers.serial_lights import DC4100Settings; light = GuardedLight(DC4100Settings(port=sys.argv[1]));"
+        "import sys; from app.acquisition.watchdog_light import WatchdogLight;"
+        " from drivers.serial_lights import DC4100Settings; light = WatchdogLight(DC4100Settings(port=sys.argv[1]));"
         " light.set_on(True); print('lit', flush=True); light.properties()"
     )
     paths = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path)}
@@ -181,14 +181,14 @@ def test_guardian_whose_call_hangs_ends_if_the_instrument_was_killed(
     with subprocess.Popen(command, stdout=subprocess.PIPE, env=paths) as instrument:  # noqa: S603 - this interpreter
         assert instrument.stdout is not None
         assert instrument.stdout.readline() == b"lit\n"
-        (guardian,) = children(instrument.pid)
+        (watchdog,) = children(instrument.pid)
         wait_until(called.exists)
         instrument.kill()
     settings = {"driver": "thorlabs_dc4100", "port": lamp_port.port}
     with pytest.raises(Busy):
         switch_off(settings)
     assert lamp.is_lit
-    wait_until(lambda: is_gone(guardian))
+    wait_until(lambda: is_gone(watchdog))
     switch_off(settings)
     assert not lamp.is_lit
 
@@ -214,7 +214,7 @@ def test_call_that_takes_its_time_is_no_hang(
 
 
 def replace_method(name: str, expression: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let guardians evaluate an expression in place of a method of their light."""
+    """Let watchdogs evaluate an expression in place of a method of their light."""
     (folder / "sitecustomize.py").write_text(
         "from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100\n"
         f"ThorlabsDC4100.{name} = lambda _: {expression}\n"
@@ -234,9 +234,9 @@ def test_death_of_a_guardian_whose_pipe_stays_open_is_noticed(
     before = children(os.getpid())
     with reopen() as light:
         light.set_on(True)
-        (guardian,) = children(os.getpid()) - before
+        (watchdog,) = children(os.getpid()) - before
         forked = int((tmp_path / "pid").read_text())
-        os.kill(guardian, signal.SIGKILL)
+        os.kill(watchdog, signal.SIGKILL)
         with pytest.raises(Disconnected, match="has ended; the light was switched off"):
             wait_until(lambda: not light.is_on)
         assert not lamp.is_lit
@@ -247,9 +247,9 @@ def test_death_of_a_guardian_whose_pipe_stays_open_is_noticed(
 def test_light_that_is_closed_as_its_guardian_dies_is_known_to_be_off(
     lamp_port: PtyServer, lamp: DC4100Wire, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    light = GuardedLight(DC4100Settings(port=lamp_port.port))
+    light = WatchdogLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
-    light.guardian.kill()
+    light.watchdog.kill()
     light.close()
     assert not lamp.is_lit
     said = capfd.readouterr().err
@@ -257,19 +257,19 @@ def test_light_that_is_closed_as_its_guardian_dies_is_known_to_be_off(
     assert "may still be on" not in said
 
 
-def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: GuardedLight, lamp: DC4100Wire) -> None:
+def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: WatchdogLight, lamp: DC4100Wire) -> None:
     light.set_current(0.25)
     lamp.faults.append(LineFault("late", 0.3))
-    guardian, main = light.guardian, threading.main_thread().ident
+    watchdog, main = light.watchdog, threading.main_thread().ident
     assert main is not None
 
     def press_ctrl_c() -> None:
         wait_until(lambda: not lamp.faults)  # the call has reached the lamp
-        guardian.send_signal(signal.SIGSTOP)  # however late this thread is, the answer comes later
-        number = light._guardian._number
+        watchdog.send_signal(signal.SIGSTOP)  # however late this thread is, the answer comes later
+        number = light._watchdog._number
         signal.pthread_kill(main, signal.SIGINT)
-        wait_until(lambda: light._guardian._number > number)  # the next call, which switches the light off
-        guardian.send_signal(signal.SIGCONT)
+        wait_until(lambda: light._watchdog._number > number)  # the next call, which switches the light off
+        watchdog.send_signal(signal.SIGCONT)
 
     _, pressing = run_in_thread(press_ctrl_c, "Ctrl-C")
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # even if the tests ignore it
@@ -289,7 +289,9 @@ def test_process_is_alive_frozen_or_gone() -> None:
     with subprocess.Popen(["sleep", "600"]) as process:  # noqa: S607 - of every system
 
         def has(condition: Condition) -> bool:
-            return ProcessState.of("finder", process) == ProcessState("finder", process.pid, condition)
+            return ProcessState.of("background estimator", process) == ProcessState(
+                "background estimator", process.pid, condition
+            )
 
         assert has("alive")
         process.send_signal(signal.SIGSTOP)
@@ -300,10 +302,10 @@ def test_process_is_alive_frozen_or_gone() -> None:
         wait_until(lambda: has("gone"))
 
 
-def test_instrument_knows_the_guardian_of_its_light(light: GuardedLight) -> None:
+def test_instrument_knows_the_guardian_of_its_light(light: WatchdogLight) -> None:
     camera = FakeCamera()
     instrument = Instrument(Devices(camera, light, camera.stage), BENCH)
-    (guardian,) = instrument.processes()
-    assert guardian == ProcessState("guardian", light.guardian.pid, "alive")
-    light.guardian.kill()
+    (watchdog,) = instrument.processes()
+    assert watchdog == ProcessState("watchdog", light.watchdog.pid, "alive")
+    light.watchdog.kill()
     wait_until(lambda: instrument.processes()[0].condition == "gone")

@@ -8,7 +8,7 @@ from app.progress import run_in_thread
 from drivers.interface import LightSource
 
 
-class LightSwitch:
+class EmergencyLightOff:
     """Switches the light off on a thread of its own, and keeps it off against earlier commands.
 
     They cannot light it either if it went off on its own, as after a freeze. The worker calls `attach` and

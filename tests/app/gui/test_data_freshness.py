@@ -16,12 +16,12 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import dim_frame, press, views
 
-from app.acquisition.kept_averages import AverageState
+from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.running_instrument import Activity
-from app.gui.panels.panel import Liveness
+from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.wording import Situation, liveness
-from app.recording.recorded_devices import RecordedLight
+from app.gui.shell.status_text import AlarmTracker, data_freshness
+from app.recording.playback_devices import RecordedLight
 from drivers.interface import Disconnected
 
 
@@ -45,18 +45,20 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert status is not None
     assert newest is not None
     now = replace(newest, exposure_end_s=1e18)  # not older than any test takes
-    assert liveness(status, "", Activity(), now) == Liveness()
-    assert liveness(status, "", Activity("taking the dark", 0.5), now) == Liveness()
+    assert data_freshness(status, "", Activity(), now) == DataFreshness()
+    assert data_freshness(status, "", Activity("taking the dark", 0.5), now) == DataFreshness()
     old = replace(newest, exposure_end_s=newest.exposure_end_s - 200)
-    preparing = liveness(status, "", Activity("preparing the reconstruction"), old)
-    assert preparing == Liveness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
-    assert liveness(status, "", Activity(), old).reason == "no newer frame has come yet"
-    assert liveness(status, "", Activity(), replace(old, latency_s=150.0)) == Liveness()  # of a slow method
+    preparing = data_freshness(status, "", Activity("preparing the reconstruction"), old)
+    assert preparing == DataFreshness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
+    assert data_freshness(status, "", Activity(), old).reason == "no newer frame has come yet"
+    assert data_freshness(status, "", Activity(), replace(old, latency_s=150.0)) == DataFreshness()  # of a slow method
     renamed = replace(status, light_name=RecordedLight.name)  # a name makes no replay
-    assert liveness(renamed, "", Activity(), now) == Liveness()
-    assert liveness(replace(status, is_replay=True), "", Activity(), now).badge == "REPLAY"
-    assert liveness(None, "", Activity(), None) == Liveness()
-    assert liveness(None, "", Activity("opening the devices"), None).is_grey  # a picture of another bench may be seen
+    assert data_freshness(renamed, "", Activity(), now) == DataFreshness()
+    assert data_freshness(replace(status, is_replay=True), "", Activity(), now).badge == "REPLAY"
+    assert data_freshness(None, "", Activity(), None) == DataFreshness()
+    assert data_freshness(
+        None, "", Activity("opening the devices"), None
+    ).is_grey  # a picture of another bench may be seen
 
 
 def test_alarm_is_about_frames_of_the_present_conditions() -> None:
@@ -64,7 +66,7 @@ def test_alarm_is_about_frames_of_the_present_conditions() -> None:
     names, good = ("bench", "mask", "is_sample_in", "exposure_s", "warning"), AverageState("20 frames")
     well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark=good, reference=good, is_light_on=True)
     well.is_running = True
-    situation, before_s = Situation(), time.perf_counter()
+    situation, before_s = AlarmTracker(), time.perf_counter()
     situation.follow(well)
     problem = replace(make_measurement(dim_frame(), views()), problem="too dark", wavefront=None)
     alarms = [

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from support.light_log import LightLog
-from support.wires.usbtmc import UsbtmcWire
+from support.stand_ins.usbtmc import UsbtmcWire
 
 _MODES = ("CC", "CB", "PWM", "PULS", "IMOD", "EMOD", "TTL")
 _QUEUE = 10  # errors

@@ -6,7 +6,7 @@ from contextlib import suppress
 _NOTIFICATIONS = 4096  # read at once
 
 
-class Wake:
+class WakeupPipe:
     """Wakes the thread that polls `fileno`; any thread may notify it, also after it was closed."""
 
     def __init__(self) -> None:
