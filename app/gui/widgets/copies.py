@@ -56,8 +56,8 @@ def ask_file(parent: QWidget, title: str, proposed: str, kinds: str) -> Path | N
 
 def write_picture(path: Path, picture: QPixmap | QImage) -> None:
     """Write a picture in the format that its suffix names; `RunError` if that is impossible."""
-    packed = QBuffer()  # Qt does not notice a full disk
-    packed.open(QBuffer.OpenModeFlag.WriteOnly)
-    if not picture.save(packed, path.suffix.lstrip(".") or "png"):
+    encoded = QBuffer()  # Qt does not notice a full disk
+    encoded.open(QBuffer.OpenModeFlag.WriteOnly)
+    if not picture.save(encoded, path.suffix.lstrip(".") or "png"):
         raise RunError(f"{path} cannot be written: give a name that ends in .png or .jpg")
-    write_whole(path, packed.data().data())
+    write_whole(path, encoded.data().data())
