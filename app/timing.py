@@ -15,19 +15,18 @@ from typing import Literal, get_args
 
 import numpy as np
 
-TimedStage = Literal["wait", "copy", "register", "reconstruct", "publish", "record", "draw", "to_result", "to_screen"]
+TimedStage = Literal[
+    "wait",  # for the camera's next frame
+    "copy",  # from a frame's arrival until it can be used
+    "register",  # displacements from the pixels
+    "reconstruct",  # wavefront from the displacements
+    "publish",  # to the recorder and other consumers
+    "record",  # a frame written to disk, in another thread
+    "draw",  # window redraw, painting included
+    "to_result",  # from the end of a frame's exposure to its result
+    "to_screen",  # from the end of a frame's exposure to its painting
+]
 STAGES: tuple[TimedStage, ...] = get_args(TimedStage)
-MEANINGS: dict[TimedStage, str] = {
-    "wait": "for the camera's next frame",
-    "copy": "from a frame's arrival until it can be used",
-    "register": "displacements from the pixels",
-    "reconstruct": "wavefront from the displacements",
-    "publish": "to the recorder and other consumers",
-    "record": "a frame written to disk, in another thread",
-    "draw": "window redraw, painting included",
-    "to_result": "from the end of a frame's exposure to its result",
-    "to_screen": "from the end of a frame's exposure to its painting",
-}
 KEPT = 4096  # times per stage; a minute at the highest frame rate
 
 

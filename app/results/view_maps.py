@@ -19,7 +19,7 @@ from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
-from reconstruction.quality.slope_fit import slope_fit
+from reconstruction.quality.slope_residual import slope_residual
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, ReconstructionSettings
 from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
@@ -124,9 +124,7 @@ class Quantity(StrEnum):
 
     WAVEFRONT = "Wavefront"
     PSF = "PSF"
-    MEASURED = "Measured"
-    FITTED = "Fitted"
-    DIFFERENCE = "Difference"
+    RESIDUAL = "Residual"
     UNCERTAINTY = "Uncertainty"
 
 
@@ -221,9 +219,7 @@ def _maps(
         return QuantityMaps(maps, reach_rad, light_reach_rad)
     coefficients = wavefront.coefficients
     count = settings.pupil_modes if coefficients is None else len(coefficients)
-    fit = slope_fit(wavefront, wavefront.sensor, _modes(wavefront.sensor, settings.basis, count))
-    of_fit = {Quantity.MEASURED: fit.measured, Quantity.FITTED: fit.fitted, Quantity.DIFFERENCE: fit.difference}
-    return QuantityMaps(of_fit[quantity])
+    return QuantityMaps(slope_residual(wavefront, _modes(wavefront.sensor, settings.basis, count)))
 
 
 @lru_cache(maxsize=2)

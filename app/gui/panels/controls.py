@@ -1,8 +1,7 @@
-"""The controls panel: light, devices, calibration and reconstruction; all values are in SI units."""
+"""The controls panel: light, devices, calibration and refinement; all values are in SI units."""
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from typing import get_args
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
@@ -10,7 +9,6 @@ from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QCo
 from app.acquisition.dark_reference_store import Validity
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
-from app.bench.config import AUTOMATIC, Bench
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
@@ -21,31 +19,13 @@ from app.gui.widgets.texts import label, mark_wanted
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range
-from reconstruction.annotated_settings import help_of
-from reconstruction.settings import (
-    FIELD_MODES,
-    PUPIL_MODES,
-    Method,
-    PupilBasis,
-    ReconstructionSettings,
-    RegistrationSettings,
-)
 
 _GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
 _DIM = 0.3  # share of full scale below which noise matters
-_HELP = {
-    f"{section}.{name}": f"<p>{text}</p>"  # Qt wraps the lines of a paragraph
-    for section, cls in (("registration", RegistrationSettings), ("reconstruction", ReconstructionSettings))
-    for name, text in help_of(cls).items()
-}
 _CHOICES = {  # tool tips by the names of the requests
     "amplifier": "Output amplifier; a change restarts the camera",
     "readout_speed": "Readout speed: faster is noisier; a change restarts the camera",
     "mask": "Mask in front of the light; a new mask needs a new reference (R)",
-    **{
-        name: _HELP[name]
-        for name in ("registration.method", "registration.warp", "reconstruction.method", "reconstruction.basis")
-    },
 }
 
 
@@ -60,10 +40,8 @@ class ControlsPanel(Panel):
         self._is_running, self._has_devices = False, True
         self._make_devices()
         self._make_calibration()
-        self.choices = {name: _choice(tip, partial(self._choose, name)) for name, tip in _CHOICES.items()}
-        amplifier, speed, mask, self.registration, self.warp, self.method, self.basis = self.choices.values()
-        self.pupil_modes = NumberField(name="Modes", tool_tip=_HELP["reconstruction.pupil_modes"], lowest=AUTOMATIC)
-        self.pupil_modes.entered.connect(self._enter_modes)
+        self.choices = {name: _choice(tip, self._ask(name)) for name, tip in _CHOICES.items()}
+        amplifier, speed, mask = self.choices.values()
         about = "Correct systematic errors by a simulation of your bench; the status line has the correction's age (F)"
         self.refine = Toggle("Refine", about, self._ask("reconstruction.refine"))
         calibration: list[Item] = [self.lattice]
@@ -77,14 +55,7 @@ class ControlsPanel(Panel):
                 *(_named("Speed", speed), self.sample, (mask, 2)),
                 spacing=_GROUP_GAP_PX,
             ),
-            row(*calibration, _named("Frames", self.frames), self.calibrate, spacing=_GROUP_GAP_PX // 2),
-            row(
-                (_named("Matching", (self.registration, 3), (self.warp, 2)), 5),
-                (_named("Wavefront", (self.method, 1), (self.basis, 1)), 4),
-                (_named("Modes", (self.pupil_modes, 1)), 2),
-                (self.refine, 1),
-                spacing=_GROUP_GAP_PX,
-            ),
+            row(*calibration, _named("Frames", self.frames), self.calibrate, self.refine, spacing=_GROUP_GAP_PX // 2),
         )
         rule = QFrame()
         rule.setFixedWidth(1)
@@ -153,12 +124,6 @@ class ControlsPanel(Panel):
         if self.frames.commit():  # the button does not take the focus from it
             self.requested.emit(name, round(self.frames.value()))
 
-    def _choose(self, name: str, value: object) -> None:
-        self.requested.emit(name, None if value == AUTOMATIC else value)
-
-    def _enter_modes(self, modes: float) -> None:
-        self.requested.emit("reconstruction.pupil_modes", round(modes) if modes in PUPIL_MODES else None)
-
     def show_switching_off(self) -> None:
         self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
 
@@ -168,12 +133,11 @@ class ControlsPanel(Panel):
         self.light.setIcon(theme.validity_lamp("doubtful"))
 
     def enable_devices(self, *, is_enabled: bool) -> None:
-        """Enable all, or only the reconstruction while a recording plays in place of the devices."""
+        """Enable all, or only the refinement while a recording plays in place of the devices."""
         self._has_devices = is_enabled
         self.start.setVisible(is_enabled)
-        reconstruction = {self.registration, self.warp, self.method, self.basis, self.pupil_modes, self.refine}
         for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
-            if control not in {*reconstruction, self.start}:
+            if control not in {self.refine, self.start}:
                 control.setEnabled(is_enabled)
 
     def show_status(self, status: Status) -> None:
@@ -195,36 +159,27 @@ class ControlsPanel(Panel):
         self.lattice.show_step("good" if pitch else "missing", "", pitch)
 
     def _show_fields(self, status: Status) -> None:
-        allowed, wanted, reconstruction = status.capabilities, self.shown.wanted, status.bench.reconstruction
+        allowed, wanted = status.capabilities, self.shown.wanted
         for name, field, value, interval in (
             ("exposure_s", self.exposure, status.exposure_s, allowed.exposure_range_s),
             ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
             ("current_a", self.current, status.current_a, status.current_range_a),
-            ("reconstruction.pupil_modes", self.pupil_modes, reconstruction.pupil_modes, _modes_range(status.bench)),
         ):
             mark_wanted(field, is_wanted=name in wanted)
             if self.shown.is_settled or not field.hasFocus():
                 field.show_value(wanted.get(name, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
-        self.pupil_modes.setEnabled(reconstruction.method == "modal")
 
     def _show_choices(self, status: Status) -> None:
         allowed, wanted = status.capabilities, self.shown.wanted
-        registration, reconstruction = status.bench.registration, status.bench.reconstruction
         for name, values, chosen in (
             ("amplifier", allowed.amplifiers, status.amplifier),
             ("readout_speed", allowed.readout_speeds, status.readout_speed),
             ("mask", status.masks, status.mask),
-            ("registration.method", get_args(Method), registration.method),
-            ("registration.warp", (AUTOMATIC, *FIELD_MODES), registration.warp),
-            ("reconstruction.method", ("zonal", "modal"), reconstruction.method),
-            ("reconstruction.basis", get_args(PupilBasis), reconstruction.basis),
         ):
             mark_wanted(self.choices[name], is_wanted=name in wanted)
-            self.choices[name].show_choice(values, wanted.get(name, chosen) or AUTOMATIC)
-        self.warp.setEnabled(registration.fits_warps)
-        self.basis.setEnabled(reconstruction.method == "modal")
+            self.choices[name].show_choice(values, wanted.get(name, chosen))
 
     def _show_switches(self, status: Status) -> None:
         wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
@@ -243,25 +198,14 @@ class ControlsPanel(Panel):
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
 
     def show_numbers(self) -> None:
-        """Show the brightness of a recent frame, and in tool tips what was chosen for its wavefront."""
-        measurement, statistics = self.shown.measurement, self.shown.statistics
-        if measurement is None or statistics is None:
+        """Show the brightness of a recent frame."""
+        statistics = self.shown.statistics
+        if self.shown.measurement is None or statistics is None:
             return
         share = statistics.peak / statistics.clip_level
         state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
         about = f"brightest pixel beside full scale; {percent(FILL)} is best"
         self.auto_exposure.show_step(state, percent(share), about)
-        wavefront, chosen_warp, chosen_modes = measurement.wavefront, "", ""
-        if wavefront is not None and self.warp.isEnabled() and self.warp.currentText() == AUTOMATIC:
-            fields = wavefront.displacement.modes.count
-            chosen_warp = next((name for name, count in FIELD_MODES.items() if count == fields), "")
-        if wavefront is not None and self.pupil_modes.isEnabled() and self.pupil_modes.text() == AUTOMATIC:
-            chosen_modes = "" if wavefront.coefficients is None else str(len(wavefront.coefficients))
-        for control, name, chosen in (
-            (self.warp, "registration.warp", chosen_warp),
-            (self.pupil_modes, "reconstruction.pupil_modes", chosen_modes),
-        ):
-            control.setToolTip(f"{_HELP[name]}<p>Chosen now: {chosen}</p>" if chosen else _HELP[name])
 
 
 class StepButton(Button):
@@ -307,12 +251,6 @@ class _LightButton(Toggle):
             super().click()
         elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
             self.clicked.emit(False)
-
-
-def _modes_range(bench: Bench) -> Range:
-    """Range of pupil modes: at most one for each lenslet, or what is in force; the lowest is automatic."""
-    lenslets = bench.sensor.lenslet_rows * bench.sensor.lenslet_columns
-    return Range(PUPIL_MODES.start - 1, max(min(lenslets, PUPIL_MODES[-1]), bench.reconstruction.pupil_modes or 0))
 
 
 def _named(name: str, *controls: Item) -> QHBoxLayout:

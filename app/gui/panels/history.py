@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QFontMetrics, QShowEvent
-from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QWidget
 
 from app.bench.settings_form import typed_number
 from app.gui.panels.panel import DisplayState, Entries, Panel, Request, Verdict
@@ -51,7 +51,7 @@ _DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the
 _PINNED = "Pinned coefficient"
 _ENDS = "lowest", "highest"  # limits of a series
 _ABOUT_LIMITS = (
-    "Empty: no limit. Phases are in the unit of Display, or in the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
+    "Empty: no limit. The unit is that of Display, or the one that you type: 0.5 rad, 0.1 waves, 40 nm.\n"
     "The newest frame is compared five times a second; a crossing is over after two seconds within."
 )
 
@@ -112,7 +112,7 @@ class HistoryPanel(Panel):
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self._make_choices()
-        self.form = LimitsForm(shown, tuple(_ABOUT), self)
+        self.form = LimitsForm(shown, self)
         self.form.changed.connect(self.refresh)
         self._lay_out()
         self._arrange()
@@ -134,7 +134,11 @@ class HistoryPanel(Panel):
             choice.currentIndexChanged.connect(self.refresh)
 
     def _lay_out(self) -> None:
-        self.limits = Button("Limits", "Set limits: a crossing is reported, and red here", self.form.show)
+        self.limits = Button(
+            "Limits",
+            "Set limits of RMS and the pinned coefficient: a crossing is reported, and red here",
+            self.form.show,
+        )
         self.export = Button("Export", "Save all series as CSV", self.export_csv)
         self._hint = ElidedLabel("dim", _HINT)
         self.charts: dict[str, StripChart] = {}
@@ -189,8 +193,8 @@ class HistoryPanel(Panel):
         return Verdict("fail" if self._watch.beyond else "pass" if is_known else NOTHING, "\n".join(lines))
 
     def _in_words(self, name: str, value: float, limits: SeriesLimits) -> str:
-        """Say how a value relates to its limits, phases in the unit of the display."""
-        unit, factor = self._unit_of(name)
+        """Say how a phase relates to its limits, in the unit of the display."""
+        unit, factor = self.shown.unit, self.shown.per_rad
         lowest, highest = (number(limit * factor) for limit in (limits.lowest, limits.highest))
         relation = limits.broken_by(value)
         if relation:
@@ -285,27 +289,26 @@ def _plot(bottom: str | None) -> Plot:
 
 
 class LimitLine(NumberLine):
-    """A number with its unit; empty if there is no limit, red if it is no number."""
+    """A phase with its unit; empty if there is no limit, red if it is no number."""
 
-    def __init__(self, shown: DisplayState, series: str, key: str) -> None:
+    def __init__(self, shown: DisplayState, key: str) -> None:
         super().__init__()
         self.setObjectName(key)  # under which its text is kept between two starts
         self.setMinimumWidth(110)  # px
-        self._shown, self._unit = shown, UNITS.get(series, "").partition(" ")[0]
+        self._shown = shown
         self.editingFinished.connect(lambda: self.setText(self.with_unit()))
 
     def value_of(self, text: str) -> float:
-        """Return the limit that a text stands for, phases in rad; NaN if it is none."""
+        """Return the limit that a text stands for, rad; NaN if it is none."""
         value, unit = self.typed(text)
-        return value if self._unit else value / Unit(unit).per_rad(self._shown.wavelength_m)
+        return value / unit.per_rad(self._shown.wavelength_m)
 
-    def typed(self, text: str) -> tuple[float, str]:
+    def typed(self, text: str) -> tuple[float, Unit]:
         """Return the number of a text, NaN if it is none, and its unit."""
         text = text.strip()
-        units = [self._unit] if self._unit else [self._shown.unit, *Unit]
-        unit = next((one for one in units if text.endswith(one)), "")
+        unit = next((one for one in Unit if text.endswith(one)), self._shown.unit)
         number = typed_number(text.removesuffix(unit), "", 1.0)
-        return math.nan if number is None else number, unit or units[0]
+        return math.nan if number is None else number, unit
 
     def with_unit(self) -> str:
         """Return the text with its unit, so that its meaning does not change with the display."""
@@ -315,36 +318,30 @@ class LimitLine(NumberLine):
 
 
 class LimitsForm(QDialog):
-    """One row for each series, and whether a crossing beeps."""
+    """Limits of RMS and of the pinned coefficient, and whether a crossing beeps."""
 
     changed = pyqtSignal()
 
-    def __init__(self, shown: DisplayState, series: tuple[str, ...], parent: QWidget) -> None:
+    def __init__(self, shown: DisplayState, parent: QWidget) -> None:
         super().__init__(parent)
         self.setWindowTitle("Limits of the history")
-        self._shown, self._pinned, self._pinned_label = shown, "", label(_PINNED)
+        self._pinned_label = label(_PINNED)
         self.beep = Toggle("Beep", "Beep when a value crosses a limit", key="history/beep")
         self.lines: dict[str, tuple[LimitLine, LimitLine]] = {}
         self._in_force: dict[str, tuple[str, str]] = {}  # the last texts of a series that were limits
         grid = QGridLayout()
         for at, text in enumerate(("", "at least", "at most")):
             grid.addWidget(label(text, "dim"), 0, at)
-        for name in series:
-            self._add_row(grid, name, label(name))
-        self._add_row(grid, "", self._pinned_label)
+        for at, (name, shown_name) in enumerate(((RMS, label(RMS)), ("", self._pinned_label)), 1):
+            grid.addWidget(shown_name, at, 0)
+            lowest, highest = (LimitLine(shown, f"history/{end} {name}" if name else "") for end in _ENDS)
+            self.lines[name], self._in_force[name] = (lowest, highest), ("", "")
+            for side, line in enumerate((lowest, highest), 1):
+                line.textChanged.connect(lambda _, name=name: self._change(name))
+                grid.addWidget(line, at, side)
         self.use_pinned("")
         about = label(_ABOUT_LIMITS, "dim")
         fill_dialog(self, grid, about, row(self.beep, (QWidget(), 1), close_button(self)))
-
-    def _add_row(self, grid: QGridLayout, name: str, shown_name: QLabel) -> None:
-        at = grid.rowCount()
-        grid.addWidget(shown_name, at, 0)
-        keys = [f"history/{end} {name}" if name else "" for end in _ENDS]
-        self.lines[name] = LimitLine(self._shown, name, keys[0]), LimitLine(self._shown, name, keys[1])
-        self._in_force[name] = "", ""
-        for side, line in enumerate(self.lines[name], 1):
-            line.textChanged.connect(lambda _, name=name: self._change(name))
-            grid.addWidget(line, at, side)
 
     def _change(self, name: str) -> None:
         """Mark texts that are no number, and pairs that exclude all values; others come into force."""
@@ -364,7 +361,7 @@ class LimitsForm(QDialog):
         self.changed.emit()
 
     def limits(self) -> dict[str, SeriesLimits]:
-        """Return the limits in force by series, phases in rad."""
+        """Return the limits in force by series, rad."""
         found = dict[str, SeriesLimits]()
         for name, lines in self.lines.items():
             values = zip(_ENDS, lines, self._in_force[name], strict=True)

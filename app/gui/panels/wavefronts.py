@@ -58,7 +58,7 @@ class WavefrontPanel(Panel):
         self._enlarged: EnlargedView | None = None
         self._reading = FileWork(self, self.warned.emit)  # of a wavefront to subtract
         self._exports = FileWork(self, self.warned.emit)
-        about = "Quantity shown for every view (keys 1 to 6)"
+        about = "Quantity shown for every view (keys 1 to 4)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"

@@ -173,7 +173,6 @@ class MainWindow(BaseWindow):
                 *self._entries_of_panels("&View"),
                 ("Previous frame of a replay", ",", self.replay.back),
                 ("Next frame of a replay", ".", self.replay.forth),
-                ("Processing times", "T", self.status_line.toggle_times),
                 None,
                 ("Panels", "", self.docks.menu()),
                 ("Plots", "I", self.docks.toggle_tabs),
@@ -294,8 +293,7 @@ class MainWindow(BaseWindow):
         self.region_dialog.show_status(status)
 
     def update_text(self) -> None:
-        acquisition, status, shown = self.controller.acquisition, self._status, self.shown
-        measurement = shown.measurement
+        status, shown, measurement = self._status, self.shown, self.shown.measurement
         shown.status = self.controller.status
         alarm = self._alarm_tracker.alarm(status, self._activity, measurement)
         shown.data_freshness = data_freshness(status, self._failure, self._activity, measurement)
@@ -304,8 +302,7 @@ class MainWindow(BaseWindow):
             panel.show_numbers()
             panel.show_liveness()
         self.recording_bar.refresh()
-        timings = acquisition.timings if acquisition else None
-        self.status_line.update_text(status, timings, self.controller.about_processes, trouble=self.controller.trouble)
+        self.status_line.update_text(status, self.controller.about_processes, trouble=self.controller.trouble)
         self.status_line.show_verdict(shown.verdict)
         self.messages.show_state(
             failure=self._failure,

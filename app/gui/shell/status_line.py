@@ -1,9 +1,7 @@
 """The status line: rate, delay, losses, valid lenslets, and what is assumed of the sample."""
 
-import math
 import time
 from collections import deque
-from collections.abc import Mapping
 from statistics import median
 
 import numpy as np
@@ -14,13 +12,14 @@ from app.acquisition.instrument import Status
 from app.gui.panels.panel import Verdict
 from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
-from app.gui.widgets.layouts import column, row, row_of
+from app.gui.widgets.layouts import row, row_of
 from app.gui.widgets.presentation import NOTHING
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.measurement.measurement import Measurement, RefinementState, sample_sentence
-from app.timing import MEANINGS, STAGES, StageTimes, TimedStage, Timings
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.settings import FIELD_MODES
+from reconstruction.wavefront import Wavefront
 
 _RATE = "Frames acquired per second"
 _VALID = "Lenslets whose subimage matches the reference"
@@ -32,9 +31,7 @@ _LOST = "Frames that the camera overwrote before they were read; red while they 
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
 _WINDOW_S = 1.0  # over which rate and delay are taken
-_TIMES_INTERVAL_S = 1.0  # the percentiles of thousands of times take a millisecond
 _GAP_PX = 14  # between two parts
-_STAGES = "".join(f"<p>{stage.replace('_', ' ')}: {meaning}</p>" for stage, meaning in MEANINGS.items())
 
 
 class StatusLine(QWidget):
@@ -45,10 +42,6 @@ class StatusLine(QWidget):
         self._newest: Measurement | None = None
         self._recent: deque[tuple[float, int, float, int]] = deque()  # time, frames acquired, delay, frames lost
         self.shown = 0
-        self._times_due_s = -math.inf
-        self.times = label("")
-        self.times.setObjectName("window/times")
-        self.times.hide()
         self.simulated = label("SIMULATED", "badge")
         self.simulated.setToolTip("No real device: camera, light and sample are computed")
         self.simulated.hide()
@@ -63,8 +56,8 @@ class StatusLine(QWidget):
             of_value.setToolTip(value.about)
         self._of_correction, self._of_limits = named[-2:]
         self.assumed = ElidedLabel("dim")
-        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP_PX)
-        column(self.times, line, spacing=2, parent=self).setContentsMargins(10, 0, 10, 2)
+        line = row(*named, (self.assumed, 1), self.simulated, self.devices, spacing=_GAP_PX, parent=self)
+        line.setContentsMargins(10, 0, 10, 2)
         self.restart()
         self.show_verdict(Verdict())
 
@@ -75,9 +68,6 @@ class StatusLine(QWidget):
         self._recent.append((time_s, counts.acquired, measurement.latency_s, counts.lost))
         while self._recent[0][0] < time_s - _WINDOW_S and len(self._recent) > 2:
             self._recent.popleft()
-
-    def toggle_times(self) -> None:
-        self.times.setVisible(self.times.isHidden())
 
     def restart(self) -> None:
         self._newest = None
@@ -90,19 +80,8 @@ class StatusLine(QWidget):
         self._show_correction(RefinementState("off"))
         self.assumed.setText("")
 
-    def update_text(
-        self, status: Status | None, timings: Timings | None, processes: str = "", *, trouble: str = ""
-    ) -> None:
-        """Update the numbers, those of the tool tip once a second.
-
-        `processes` tells the state of each one; `trouble`, which is not alive.
-        """
-        if timings is not None and time.monotonic() > self._times_due_s:
-            self._times_due_s = time.monotonic() + _TIMES_INTERVAL_S
-            table = _timing_table(timings.summary(), self.fontMetrics().horizontalAdvance("to reconstruct"))
-            self.times.setText(table)
-            self.delay.about = f"<p>{_DELAY}.</p>{table}{_STAGES}"
-            self.times.setToolTip(self.delay.about)
+    def update_text(self, status: Status | None, processes: str = "", *, trouble: str = "") -> None:
+        """Update the numbers; `processes` tells the state of each one, and `trouble` which is not alive."""
         names: tuple[str, ...] = ()
         if status is not None:
             self.simulated.setVisible(status.bench.is_simulated)
@@ -147,13 +126,16 @@ class StatusLine(QWidget):
         self.valid.show_text(text, about, colour)
 
     def _show_assumed(self, measurement: Measurement, mask_note: str) -> None:
-        sample, told = measurement.assumed.sample, ""
+        sample, told, fitted = measurement.assumed.sample, "", ""
         if measurement.wavefront is not None:
+            fitted = _fitted(measurement.wavefront)
             told = f"Sample: {sample_sentence(sample or FREE, measurement.wavefront.field)}"
             told += " (searching for layers)" * (sample is None)
         told = told.replace("+-", "\N{PLUS-MINUS SIGN}")
         self.assumed.setText(told)
-        self.assumed.setToolTip("".join(f"<p>{as_sentence(one)}.</p>" for one in (_ASSUMED, told, mask_note) if one))
+        self.assumed.setToolTip(
+            "".join(f"<p>{as_sentence(one)}.</p>" for one in (_ASSUMED, told, fitted, mask_note) if one)
+        )
 
     def _show_correction(self, refinement: RefinementState) -> None:
         change = f"The wavefront has changed by {refinement.moved_rad:.2f} rad RMS since the correction was computed"
@@ -187,18 +169,12 @@ class _Value(QLabel):
         colour_text(self, colour)
 
 
+def _fitted(wavefront: Wavefront) -> str:
+    """Name the warp and the number of pupil modes, also those chosen automatically."""
+    warps = {count: f"warp {name}" for name, count in FIELD_MODES.items()}
+    modes = "" if wavefront.coefficients is None else f"{len(wavefront.coefficients)} pupil modes"
+    return "fitted: " + ", ".join(filter(None, [warps.get(wavefront.displacement.modes.count), modes]))
+
+
 def _duration(seconds: float) -> str:
     return f"{seconds * 1e3:.1f} ms" if seconds < 1 else f"{seconds:.1f} s"
-
-
-def _timing_table(summaries: Mapping[TimedStage, StageTimes], width_px: int) -> str:
-    """Return an HTML table of median, 99th percentile and maximum of all stages, ms."""
-    rows = [[stage.replace("_", " ") for stage in STAGES]]
-    for name in ("p50_s", "p99_s", "max_s"):
-        times_s = [float(getattr(summaries[stage], name)) for stage in STAGES]
-        rows.append([NOTHING if math.isnan(time_s) else f"{time_s * 1e3:.1f}" for time_s in times_s])
-    lines = []
-    for name, texts in zip(("ms", "median", "99 %", "max"), rows, strict=True):
-        cells = "".join(f"<td width='{width_px}' align='right'>{text}</td>" for text in texts)
-        lines.append(f"<tr><td>{name}</td>{cells}</tr>")
-    return f"<table cellspacing='0'>{''.join(lines)}</table>"

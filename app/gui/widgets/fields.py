@@ -1,7 +1,5 @@
 """Fields for numbers with units and for texts, which keep their keys from the window's shortcuts."""
 
-import math
-
 from PyQt6.QtCore import QEvent, QLocale, QObject, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator
 from PyQt6.QtWidgets import QAbstractSpinBox, QApplication, QDoubleSpinBox, QLineEdit, QWidget
@@ -12,7 +10,6 @@ from app.gui.widgets.texts import mark_refused
 from drivers.interface import Range
 
 BUTTONS_WIDTH_PX = 26  # with the frame
-_LETTERS = 4  # of a word that may be shortened
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
 
@@ -145,7 +142,7 @@ class NumberField(InputField, QDoubleSpinBox):
     def _parse(self, text: str) -> float | None:
         """Return a typed value in the shown unit; None if it is no number with this unit."""
         text = self._typed(text)
-        if self._is_word(text):
+        if text and text == self.specialValueText():
             return self.minimum()
         number = typed_number(text, self._unit, self._factor)
         return None if number is None else number / self._factor
@@ -158,30 +155,17 @@ class NumberField(InputField, QDoubleSpinBox):
         """Return why what is typed cannot be used; empty if it can."""
         text = self.text() if text is None else text
         value = self._parse(text)
-        word, lowest = self.specialValueText(), self.minimum() + bool(self.specialValueText())
-        allowed = (
-            f"{self._worded(lowest)} ... {self._worded(self.maximum())}{self.suffix()}{f', or {word}' * bool(word)}"
-        )
+        lowest, highest = (f"{round(end, self.decimals()):.12g}" for end in (self.minimum(), self.maximum()))
+        allowed = f"{lowest} ... {highest}{self.suffix()}"
         about = f"{self._name} {self._typed(text)}".strip()
         if value is None:
             return f"{about}: type a number {f'in {self._unit}, ' if self._unit else ''}{allowed}"
         if not self.decimals() and value != round(value):
             return f"{about}: only whole numbers {allowed} are allowed"
         rounding = 0.5001 * 10.0 ** -self.decimals()
-        is_beyond = not lowest - rounding <= value <= self.maximum() + rounding
-        if is_beyond and not self._is_word(self._typed(text)):
+        if not self.minimum() - rounding <= value <= self.maximum() + rounding:
             return f"{about} is outside the allowed range {allowed}: not changed"
         return ""
-
-    def _is_word(self, text: str) -> bool:
-        """True for the word of the lowest value, its first letters, and 0."""
-        word = self.specialValueText()
-        return bool(word) and (text == "0" or (len(text) >= _LETTERS and word.startswith(text.lower())))
-
-    def _worded(self, value: float) -> str:
-        if self.specialValueText() and math.isclose(value, self.minimum()):
-            return self.specialValueText()
-        return f"{round(value, self.decimals()):.12g}"
 
     def _restore(self) -> None:
         if (line := self.lineEdit()) is not None:

@@ -197,10 +197,9 @@ PRESENTATIONS = {
         summary=lambda _mean, _unit: "1 = perfect peak",
         value=lambda value, _: f"{number(value)} of the peak without aberration",
     ),
-    Quantity.MEASURED: Presentation("Fitted wavefront plus the slope residuals, integrated from lenslet to lenslet"),
-    Quantity.FITTED: Presentation("Pupil modes fitted to each view"),
-    Quantity.DIFFERENCE: Presentation(
-        about="Measured minus fitted: noise and finer detail than the pupil modes resolve", family="difference"
+    Quantity.RESIDUAL: Presentation(
+        about="Measured minus fitted slopes, integrated: noise and finer detail than the pupil modes resolve",
+        family="residual",
     ),
     Quantity.UNCERTAINTY: Presentation(
         about="Error bar of each view's wavefront: noise, prior and systematic errors",

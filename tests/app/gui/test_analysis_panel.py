@@ -23,7 +23,7 @@ from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.wavefront import Wavefront
 
-KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5, Qt.Key.Key_6)
+KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4)
 
 
 def shown(window: MainWindow) -> Floats:
@@ -51,10 +51,8 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
     panel = window.panels.wavefronts
     for key, quantity, shape, caption in (
         (KEYS[1], Quantity.PSF, None, "Strehl"),
-        (KEYS[2], Quantity.MEASURED, LENSLETS, "RMS"),
-        (KEYS[3], Quantity.FITTED, LENSLETS, "RMS"),
-        (KEYS[4], Quantity.DIFFERENCE, LENSLETS, "RMS"),
-        (KEYS[5], Quantity.UNCERTAINTY, LENSLETS, "mean"),
+        (KEYS[2], Quantity.RESIDUAL, LENSLETS, "RMS"),
+        (KEYS[3], Quantity.UNCERTAINTY, LENSLETS, "mean"),
         (KEYS[0], Quantity.WAVEFRONT, LENSLETS, "RMS"),
     ):
         press(qtbot, window, key)

@@ -55,7 +55,7 @@ def test_repeated_request_is_ignored_and_new_wavefront_waits(analysis: Analysis)
         analysis.submit(request(Quantity.PSF))
     assert time.monotonic() - began_s > 0.1
     wait(analysis)
-    analysis.submit(request(Quantity.DIFFERENCE))  # a choice of the user is analysed immediately
+    analysis.submit(request(Quantity.RESIDUAL))  # a choice of the user is analysed immediately
     assert analysis.is_busy
     wait(analysis)
     analysis.submit(None)  # the panel is hidden

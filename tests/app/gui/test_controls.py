@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.dark_reference_store import AverageState
-from app.bench.config import AUTOMATIC
 from app.bench.device_kinds import DRIVERS
 from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow
@@ -74,10 +72,7 @@ def test_every_choice_reaches_the_instrument(make_window: MakeWindow, qtbot: QtB
     window = make_window(ThreeSpeeds())
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
-    choices = dict(window.controls.choices)
-    choices["registration.method"] = choices.pop("registration.method")  # other than Gauss-Newton disables the warp
-    choices["reconstruction.method"] = choices.pop("reconstruction.method")  # and zonal the basis
-    for name, choice in choices.items():
+    for name, choice in window.controls.choices.items():
         assert choice.isEnabled(), name
         index = (choice.currentIndex() + 1) % choice.count()
         wanted = choice.itemData(index)
@@ -86,36 +81,9 @@ def test_every_choice_reaches_the_instrument(make_window: MakeWindow, qtbot: QtB
         qtbot.waitUntil(lambda: window.controller.is_settled and not window.settings.wanted)
         status = window.controller.status
         assert status is not None
-        section, _, key = name.rpartition(".")
-        in_force = getattr(getattr(status.bench, section) if section else status, key)
-        assert in_force == (None if wanted == AUTOMATIC else wanted), name
+        assert getattr(status, name) == wanted, name
         assert choice.itemData(choice.currentIndex()) == wanted, name
     assert "display failed" not in window.messages.log
-
-
-@pytest.mark.slow
-def test_tooltips_name_what_automatic_has_chosen(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    window, _ = live
-    controls, counts = window.controls, {"affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
-
-    def tells_warp_in_use() -> bool:
-        wavefront = None if window.shown.measurement is None else window.shown.measurement.wavefront
-        told = controls.warp.toolTip().rpartition(": ")[2].removesuffix("</p>")
-        return wavefront is not None and counts.get(told) == wavefront.displacement.coefficients.shape[2]
-
-    controls.requested.emit("registration.warp", None)
-    qtbot.waitUntil(partial(tells_choice, controls.warp, is_automatic=True))
-    qtbot.waitUntil(tells_warp_in_use)
-    assert "Chosen now" not in controls.pupil_modes.toolTip()  # 28, as set
-    for warp, modes in (("affine", None), (None, 21)):
-        controls.requested.emit("registration.warp", warp)
-        controls.requested.emit("reconstruction.pupil_modes", modes)
-        qtbot.waitUntil(partial(tells_choice, controls.warp, is_automatic=warp is None))
-        qtbot.waitUntil(partial(tells_choice, controls.pupil_modes, is_automatic=modes is None))
-
-
-def tells_choice(control: QWidget, *, is_automatic: bool) -> bool:
-    return ("Chosen now" in control.toolTip()) == is_automatic
 
 
 def is_exposed(camera: FakeCamera, exposure_s: float) -> bool:
@@ -160,38 +128,10 @@ def test_notice_disappears_at_the_next_command(
     qtbot.waitUntil(lambda: window.messages.text.text() == "The light is off: switch it on (L)")
 
 
-@pytest.mark.slow
-@pytest.mark.long
-def test_changed_settings_reach_the_reconstruction(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    window, _ = live
-    window.controls.requested.emit("registration.warp", "affine")
-    window.controls.pupil_modes.setValue(15)
-    window.controls.requested.emit("reconstruction.method", "zonal")
-
-    def is_changed() -> bool:
-        measurement = window.shown.measurement
-        assert measurement is not None
-        return measurement.wavefront is not None and measurement.wavefront.displacement.coefficients.shape[2] == 3
-
-    qtbot.waitUntil(lambda: not window.settings.wanted)
-    qtbot.waitUntil(is_changed)
-    assert window._status is not None
-    assert window._status.bench.reconstruction.pupil_modes == 15
-    assert window.controls.method.currentText() == "zonal"
-    assert not window.controls.pupil_modes.isEnabled()
-
-
 def test_fields_take_their_limits_from_settings_and_devices(live: tuple[MainWindow, FakeCamera]) -> None:
     window, _ = live
     controls, status = window.controls, window._status
     assert status is not None
-    reconstruction = replace(status.bench.reconstruction, pupil_modes=500)
-    bench = replace(status.bench, reconstruction=reconstruction)
-    controls.show_status(replace(status, bench=bench))
-    assert controls.pupil_modes.value() == 500
-    assert controls.pupil_modes.maximum() == 500  # as in force
-    controls.show_status(status)
-    assert controls.pupil_modes.maximum() == 9 * 13  # one for each lenslet
     assert (controls.frames.minimum(), controls.frames.maximum()) == (AVERAGED_FRAMES[0], AVERAGED_FRAMES[-1])
     for field, unit, allowed in (
         (controls.exposure, 1e-3, status.capabilities.exposure_range_s),
@@ -241,27 +181,6 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     assert "Good" in controls.auto_exposure.toolTip()
     camera.light.set_on(False)
     qtbot.waitUntil(lambda: "Doubtful" in controls.auto_exposure.toolTip())
-
-
-@pytest.mark.slow
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("changes", "is_used"),
-    [
-        ({"method": "gauss_newton"}, True),
-        ({"method": "correlation"}, False),
-        ({"method": "centroids"}, False),
-        ({"method": "itk_affine"}, False),
-    ],
-)
-def test_warp_is_enabled_only_where_it_has_an_effect(
-    live: tuple[MainWindow, FakeCamera], changes: dict[str, Any], is_used: bool
-) -> None:
-    window, _ = live
-    assert window._status is not None
-    bench = replace(window._status.bench, registration=replace(window._status.bench.registration, **changes))
-    window.controls.show_status(replace(window._status, bench=bench))
-    assert window.controls.warp.isEnabled() == is_used
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QColor, QTextDocument
+from PyQt6.QtGui import QColor
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, make_measurement, opener
 from support.patience import HANG_S, own_time
@@ -20,10 +20,8 @@ from app.gui.shell.help import TextDialog
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
-from app.gui.widgets.presentation import NOTHING
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Assumptions, RefinementState
-from app.timing import STAGES
 from drivers.interface import Disconnected
 from reconstruction.displacement import LensletStatus
 from reconstruction.reconstructor import Reconstructor
@@ -135,7 +133,7 @@ def test_times_are_told_in_milliseconds_and_seconds(make_window: MakeWindow) -> 
     for seconds, text in ((0.0123, "12.3 ms"), (4.56, "4.6 s")):
         line.restart()
         line.count(replace(make_measurement(dim_frame(), views()), latency_s=seconds))
-        line.update_text(None, None)
+        line.update_text(None)
         assert line.delay.text() == text
 
 
@@ -144,7 +142,7 @@ def test_old_correction_is_not_green(make_window: MakeWindow, age_s: float, colo
     line = make_window().status_line
     assumed = Assumptions(refinement=RefinementState("applied", age_s, 0.1))
     line.count(replace(make_measurement(dim_frame(), views()), assumed=assumed))
-    line.update_text(None, None)
+    line.update_text(None)
     assert line.correction.property("tone") == theme.tone(colour)
 
 
@@ -269,32 +267,3 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     assert scroll_bar is not None
     assert not scroll_bar.maximum()  # nothing is cut off
     dialog.close()
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_drawing_is_timed_and_key_shows_every_stage(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    window, _ = live
-    assert window.controller.acquisition is not None
-    timings = window.controller.acquisition.timings
-    qtbot.waitUntil(lambda: timings.summary()["to_screen"].count > 3)
-    times = window.status_line.times
-    assert not times.isVisible()
-    press(qtbot, window, Qt.Key.Key_T)
-    assert times.isVisible()
-    document = QTextDocument()
-
-    def row(name: str) -> list[str]:
-        document.setHtml(times.text())
-        words = document.toPlainText().splitlines()
-        return words[words.index(name) + 1 :][: len(STAGES)]
-
-    qtbot.waitUntil(lambda: row("median")[-1] != NOTHING)
-    for stage in ("register", "draw", "to screen"):
-        at = row("ms").index(stage)
-        median, most_of, most = (float(row(name)[at]) for name in ("median", "99 %", "max"))
-        assert median <= most_of <= most
-    assert "to screen" in window.status_line.delay.toolTip()
-    summary = timings.summary()
-    assert summary["draw"].count <= window.status_line.shown
-    assert summary["to_screen"].p50_s > summary["draw"].p50_s

@@ -104,22 +104,3 @@ def test_infinite_whole_number_is_refused(qtbot: QtBot, typed: str) -> None:
     press(qtbot, field, Qt.Key.Key_Return)
     assert refused[-1].startswith(f"Frames {typed}: type a number")
     assert field.value() == 20
-
-
-def test_number_that_stands_for_automatic_is_refused(qtbot: QtBot) -> None:
-    field = NumberField(name="Modes", tool_tip="", lowest="automatic")
-    field.show_value(28, Range(2, 1000))
-    field.show()
-    field.edit()
-    sent, refused = list[float](), list[str]()
-    field.entered.connect(sent.append)
-    field.refused.connect(refused.append)
-    type_text(qtbot, field, "2")
-    press(qtbot, field, Qt.Key.Key_Return)
-    assert refused[-1] == "Modes 2 is outside the allowed range 3 ... 1000, or automatic: not changed"
-    assert not sent
-    field.edit()
-    type_text(qtbot, field, "automatic")
-    press(qtbot, field, Qt.Key.Key_Return)
-    assert sent == [2]
-    field.deleteLater()

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 from support.recordings import record
 from support.window_tools import picture, press
@@ -128,6 +128,24 @@ def test_wavefront_of_a_chosen_frame_is_the_recorded_one(
     np.testing.assert_allclose(newest.registered.coefficients, expected, atol=2e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.long
+def test_other_method_is_tried_in_the_settings(window: MainWindow, qtbot: QtBot) -> None:
+    window.benches.edit()
+    dialog = window.benches.settings_dialog
+    _, editor = dialog.editors["reconstruction.method"]
+    assert isinstance(editor, QComboBox)
+    editor.setCurrentIndex(editor.findData("zonal"))
+    editor.activated.emit(editor.currentIndex())
+    dialog.apply.click()
+
+    def is_zonal() -> bool:
+        status = window.controller.status
+        return status is not None and status.is_replay and status.bench.reconstruction.method == "zonal"
+
+    qtbot.waitUntil(is_zonal)
+
+
 def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbot: QtBot) -> None:
     pause(qtbot, window)
     controls = window.controls
@@ -143,7 +161,7 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
         window.recording_panel.record,
     )
     assert [widget.isEnabled() for widget in devices] == [False] * len(devices)
-    assert controls.method.isEnabled()
+    assert controls.refine.isEnabled()
     assert controls.choices["readout_speed"].currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
     assert not controls.start.isVisible()  # the bar has its own
@@ -166,7 +184,7 @@ def test_recorded_losses_are_not_red(window: MainWindow, qtbot: QtBot) -> None:
     for lost in (0, 50):
         counted = replace(window.shown.measurement.counts, lost=lost)
         window.status_line.count(replace(window.shown.measurement, counts=counted))
-    window.status_line.update_text(window._status, None)
+    window.status_line.update_text(window._status)
     assert window.status_line.lost.text() == "50"
     assert window.status_line.lost.property("tone") == theme.tone(theme.TEXT)
     assert "recorded" in window.status_line.lost.toolTip()

@@ -57,14 +57,13 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     with held_up(monkeypatch):
         for modes in (10, 15, 21, 6, 12):
             controls.requested.emit("reconstruction.pupil_modes", modes)
-        for basis in ("zernike", "legendre", "zernike"):
-            controls.requested.emit("reconstruction.basis", basis)
+        controls.refine.click()
+        is_refined = controls.refine.isChecked()
         controls.requested.emit("mask", "stars")
         window.refresh()
         assert controls.choices["mask"].currentText() == "stars"
-        assert (controls.pupil_modes.value(), controls.basis.currentText()) == (12, "Zernike (Noll)")
-        assert [one.property("wanted") for one in (controls.pupil_modes, controls.basis)] == [True, True]
-        assert not controls.registration.property("wanted")
+        assert [one.property("wanted") for one in (controls.refine, controls.choices["mask"])] == [True, True]
+        assert not controls.exposure.property("wanted")
         window.messages.warn("an old message")
         qtbot.waitUntil(
             lambda: (
@@ -76,10 +75,10 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     qtbot.waitUntil(lambda: window.controller.is_settled)
     assert made == [10, 12]
     assert camera.stage.mask == "stars"
-    qtbot.waitUntil(lambda: not controls.pupil_modes.property("wanted"))
+    qtbot.waitUntil(lambda: not controls.refine.property("wanted"))
     status = window.controller.status
     assert status is not None
-    assert (status.bench.reconstruction.pupil_modes, status.bench.reconstruction.basis) == (12, "zernike")
+    assert (status.bench.reconstruction.pupil_modes, status.bench.reconstruction.refine) == (12, is_refined)
 
 
 @pytest.mark.slow

@@ -44,7 +44,6 @@ def test_window_opens_within_the_screen(make_window: MakeWindow, small_screen: Q
 def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings, tmp_path: Path) -> None:
     first = make_window(saved=settings)
     first.resize(1100, 700)  # wider than the screen of the tests
-    first.status_line.times.show()
     first.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
     first.panels.camera.arrows_toggle.setChecked(False)
     first.panels.camera.colours.setCurrentText("inferno")
@@ -60,7 +59,6 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.close()
     second = make_window(saved=settings, resized=False)
     assert second.height() == 700
-    assert second.status_line.times.isVisible()
     assert second.panels.wavefronts.quantity is Quantity.UNCERTAINTY
     assert not second.panels.camera.arrows_toggle.isChecked()
     assert second.panels.camera.lattice_toggle.isChecked()
