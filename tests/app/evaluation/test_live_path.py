@@ -97,6 +97,7 @@ def test_run_measures_an_instrument_in_a_process_of_its_own(
     assert 0 < window.frames.reconstructed <= window.frames.acquired + in_hand
     assert window.frames.acquired <= figures.recording.frames
     assert window.times["draw"].count > 0
+    assert window.times["to_screen"].p50_s > window.times["draw"].p50_s
     assert (bare.times["draw"].count, bare.times["record"].count) == (0, 0)
     assert bare.times["to_result"].count > 0
     own_mb = resident_mb(os.getpid())
