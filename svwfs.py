@@ -97,7 +97,7 @@ _ELSEWHERE = {
     "app.results.opened_recording": "OpenedRecording open_recording",
     "app.results.point_spread": "psf",
     "drivers.errors": "BadValue Busy DeviceError DeviceTimeout Disconnected FrameLost Unsupported WrongState",
-    "reconstruction.displacement": "Displacement Outcome",
+    "reconstruction.displacement": "Displacement LensletStatus",
     "reconstruction.errors": "ReconstructionError",
     "reconstruction.geometry": "Lattice",
     "reconstruction.wavefront": "Wavefront",

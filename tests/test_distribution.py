@@ -79,7 +79,7 @@ EXAMPLES = Path(__file__).parent / "support" / "python_examples.py"
 
 def run(*command: str | Path, cwd: Path, path: str = "") -> str:
     """Run a command with this PYTHONPATH; return its output."""
-    environment = os.environ | {"PYTHONPATH": path}
+    environment = os.environ | {"PYTHONPATH": path, "PYTHONSAFEPATH": ""}  # which a test of main() may have set
     told = subprocess.run(  # noqa: S603 - our own
         command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=HANG_S, check=False
     )
