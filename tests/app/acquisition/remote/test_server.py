@@ -40,14 +40,13 @@ def test_strangers_are_not_heard(server: Server) -> None:
             [server.address.key.encode(), Encoded(Command(1, "shut_down")).message()],  # without a hello
             [server.address.key.encode(), Encoded(Heartbeat.ALIVE).message(), b"more"],
         ]
-        for parts in messages:
-            with context.socket(zmq.DEALER) as socket:
-                socket.connect(server.address.endpoint)
+        with context.socket(zmq.DEALER) as socket:
+            socket.connect(server.address.endpoint)
+            for parts in messages:
                 socket.send_multipart(parts)
-        newest(watching)
-        with connected("later", takes_control=False) as later:
-            wait_until(lambda: later.name in watching.clients)
-            assert set(watching.clients) == {watching.name, later.name}
+            say(socket, server, Hello("known", False, 0.0))  # heard after the others
+            wait_until(lambda: "known" in watching.clients)
+            assert set(watching.clients) == {watching.name, "known"}
         assert watching.is_alive
         assert not watching.controller
 
