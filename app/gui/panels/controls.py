@@ -78,10 +78,12 @@ class ControlsPanel(Panel):
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
         for name, field in (("exposure_s", self.exposure), ("em_gain", self.em_gain), ("current_a", self.current)):
             field.entered.connect(self._ask(name))
-        self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
+        self.light = _LightButton("Light\noff", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(20, 20))
         self.light.setMinimumWidth(7 * self.fontMetrics().height())
+        self.light.ensurePolished()
+        self.light.setMinimumHeight(self.light.sizeHint().height())  # of two lines, so that nothing moves
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
 
