@@ -12,7 +12,6 @@ from app.gui.panels.layers import LayersPanel
 from app.gui.panels.lenslet import LensletPanel
 from app.gui.panels.panel import DisplayState
 from app.gui.panels.quality import QualityPanel
-from app.gui.panels.transmission import TransmissionPanel
 from app.gui.panels.wavefronts import WavefrontPanel
 
 
@@ -28,7 +27,6 @@ class Panels(NamedTuple):
     lenslet: LensletPanel
     layers: LayersPanel
     corrector: CorrectorPanel
-    transmission: TransmissionPanel
     controls: ControlsPanel
 
 

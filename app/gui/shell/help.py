@@ -27,7 +27,7 @@ moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
 All tiles share one colour scale. <b>RMS</b> and <b>PV</b> count the valid lenslets.</p>
 <p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image.</p>
 <p>The tiles can also show the point-spread function (<b>1</b> is the peak without aberration, the value in the
-middle is the Strehl ratio), the residual of the measured slopes, and the standard deviation.
+middle is the Strehl ratio), the residual of the measured slopes, the standard deviation, and the transmission.
 A click or the arrow keys select the view whose MTF is plotted.</p>
 <p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
 """

@@ -118,11 +118,12 @@ class Presentation:
     names: tuple[str, str] = ("RMS", "PV")  # of the numbers of a view, see `ViewNumbers`
     summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
+    missing: str = "no wavefront"  # shown without maps
 
     @property
     def has_unit(self) -> bool:
         """True for a phase, False for a ratio."""
-        return self.family != "intensity"
+        return self.family not in {"intensity", "transmission"}
 
     def caption(self, first: float, second: float) -> tuple[str, ...]:
         """Format the numbers of a view: wordings, longest first."""
@@ -209,5 +210,14 @@ PRESENTATIONS = {
         names=("mean", "max"),
         summary=lambda mean, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(mean)} {unit}",
         value=lambda value, unit: f"{number(value)} {unit}",
+    ),
+    Quantity.TRANSMISSION: Presentation(
+        about="Brightness of the source through the sample over that in the reference",
+        scale=lambda limit, _: linear(0.0, limit),
+        family="transmission",
+        names=("mean", "error"),
+        summary=lambda mean, _: f"mean {number(mean)}",
+        value=lambda value, _: number(value),
+        missing="this registration method\ndoes not measure the transmission",
     ),
 }

@@ -23,7 +23,7 @@ from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.wavefront import Wavefront
 
-KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4)
+KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5)
 
 
 def shown(window: MainWindow) -> Floats:
@@ -53,6 +53,7 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
         (KEYS[1], Quantity.PSF, None, "Strehl"),
         (KEYS[2], Quantity.RESIDUAL, LENSLETS, "RMS"),
         (KEYS[3], Quantity.UNCERTAINTY, LENSLETS, "mean"),
+        (KEYS[4], Quantity.TRANSMISSION, LENSLETS, "mean"),
         (KEYS[0], Quantity.WAVEFRONT, LENSLETS, "RMS"),
     ):
         press(qtbot, window, key)
@@ -162,6 +163,16 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
         qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
     assert window.panels.quality.sentence.text() == "No lenslet is valid over the whole field"
+
+
+def test_method_without_transmission_is_named(make_window: MakeWindow, qtbot: QtBot) -> None:
+    window = make_window()
+    show(window, bowl())
+    panel = window.panels.wavefronts
+    panel.choice.setCurrentText(Quantity.TRANSMISSION)
+    qtbot.waitUntil(lambda: window.analyses.of[panel].request is not None and not window.analyses.of[panel].is_busy)
+    assert panel.grid.maps is None
+    assert panel.grid.empty.endswith("does not measure the transmission")
 
 
 def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:
