@@ -16,10 +16,12 @@ displacements only, ours to wavefronts and coefficients. Only pyrtcao processes 
 """
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
+from itertools import product
 from typing import Any
 
 import cv2
@@ -30,24 +32,18 @@ from numpy.typing import NDArray
 from scipy import fft, sparse
 from scipy.sparse.linalg import splu
 
-from app.evaluation.benchmark import (
-    BEND_RAD_PER_M2,
-    POINTS,
-    TimedFrames,
-    noise_free,
-    noisy,
-    ours,
-    square_of_points,
-    times_of,
-)
+from app.evaluation.benchmark import TimedFrames, noise_free, noisy
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement
+from reconstruction.geometry import centered_steps
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.settings import ReconstructionSettings, RegistrationSettings
+from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.zonal import zonal_wavefront
-from reconstruction.wavefront import rms
+from reconstruction.wavefront import Wavefront, rms
+from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.source import SourcePoints
 from studies.tables import Asked, Made, Row
 
 Register = Callable[[NDArray[Any]], Floats]
@@ -65,6 +61,11 @@ _TENTH = 10  # steps per pixel of the found shift
 _ECC_STEPS, _ECC_TOLERANCE = 50, 1e-3  # defaults of findTransformECC
 _NO_SEARCH_PX = 1.0
 _NARROW_PX = 2  # reach of pyrtcao's correlation that suffices for these frames
+_TURN_S = 0.02  # minimum duration of a turn; quicker calls are repeated
+_LEAST_CALLS = 3
+_WARPS: tuple[Warp, ...] = ("affine", "quadratic", "cubic")
+_POINTS = 8  # along a side
+_BEND_RAD_PER_M2 = 3e5
 
 
 def contestants(asked: Asked, budget_s: float = 1.5) -> Made:
@@ -89,11 +90,33 @@ def _timed(
     task: str, calls: Mapping[str, Callable[[], Any]], own: str, budget_s: float, own_count: int = 1
 ) -> list[Row]:
     """Time calls in turn, of which `own` does the task so many times; return a row for each."""
-    seconds = {name: each["median_s"] for name, each in times_of(calls, budget_s, lambda *_: None).items()}
+    seconds = {name: float(np.median(each)) for name, each in side_by_side(calls, budget_s).items()}
     seconds[own] /= own_count
     return [
         {"task": task, "by": name, "median_s": each, "over_ours": each / seconds[own]} for name, each in seconds.items()
     ]
+
+
+def side_by_side(calls: Mapping[str, Callable[[], Any]], budget_s: float) -> dict[str, list[float]]:
+    """Time calls in turn until each has had `budget_s` and three calls, so that other load slows all of them alike.
+
+    Returns the seconds of each call by contestant; its first call may compile or load something and is not timed.
+    """
+    seconds: dict[str, list[float]] = {name: [] for name in calls}
+    for call in calls.values():
+        call()
+    waiting = dict(calls)
+    while waiting:
+        for name, call in list(waiting.items()):
+            turn_s = 0.0
+            while turn_s < _TURN_S:
+                start_s = time.perf_counter()
+                call()
+                seconds[name].append(time.perf_counter() - start_s)
+                turn_s += seconds[name][-1]
+            if sum(seconds[name]) >= budget_s and len(seconds[name]) >= _LEAST_CALLS:
+                del waiting[name]
+    return seconds
 
 
 def _registrations(clean: TimedFrames, grainy: TimedFrames, budget_s: float) -> Iterator[Row]:
@@ -101,7 +124,7 @@ def _registrations(clean: TimedFrames, grainy: TimedFrames, budget_s: float) -> 
     calls: dict[str, Callable[[], Any]] = {}
     residuals: dict[str, dict[str, float]] = {}
     for kind, frames in (("noise_free", clean), ("noisy", grainy)):
-        for name, call in ours(frames):
+        for name, call in _ours(frames):
             calls[name], found = call, coefficients_of(call().displacement)
             residuals.setdefault(name, {})[f"{kind}_rad"] = residual_rad(frames, found)
         for name, prepare in PEERS.items():
@@ -132,15 +155,28 @@ def _solves(frames: TimedFrames, budget_s: float) -> list[Row]:
 
 def _images(frames: TimedFrames, budget_s: float) -> list[Row]:
     """Time the image of an object point, with the same phase in closed form."""
-    calls, problem = {"svwfs": square_of_points(frames)}, ""
+    calls, problem = {"svwfs": _square_of_points(frames)}, ""
     try:
         calls["hcipy"] = _hcipy_image(frames)
         calls["hcipy"]()
     except Exception as error:  # noqa: BLE001 - any problem of a peer is reported
         problem = f"{type(error).__name__}: {error}"
         calls.pop("hcipy", None)
-    rows = _timed("image of a point", calls, "svwfs", budget_s, POINTS**2)
+    rows = _timed("image of a point", calls, "svwfs", budget_s, _POINTS**2)
     return rows + ([{"task": "image of a point", "by": "hcipy", "problem": problem}] if problem else [])
+
+
+def _ours(frames: TimedFrames) -> Iterator[tuple[str, Callable[[], Wavefront]]]:
+    """Yield name and call of every warp, cold and started at the previous frame, in one and two threads."""
+    for warp, threads in product(_WARPS, (1, _THREADS)):
+        reconstructor = frames.reconstructor(RegistrationSettings(warp=warp, threads=threads))
+        for name, start in (("cold", None), ("warm", reconstructor.register(frames.before))):
+            yield (
+                f"{warp}, {name}, {threads} thread{'s' * (threads > 1)}",
+                lambda reconstructor=reconstructor, start=start: reconstructor.solve(  # type: ignore[misc] # bound now
+                    reconstructor.register(frames.frame, start=start)
+                ),
+            )
 
 
 def residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
@@ -210,6 +246,26 @@ def _bare_southwell(rows: int, columns: int, pitch_m: float) -> Callable[[Floats
     return solve
 
 
+def _square_of_points(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
+    """Prepare the image (row, column) of a square of object points, m^2."""
+    bench, (rows, columns) = frames.bench, frames.reference.shape
+    model = ForwardModel(
+        bench.sensor,
+        frames.lattice,
+        bench.field,
+        shape=(rows, columns),
+        pupil_samples=bench.simulation.pupil_samples,
+        pixel_fill_factor=1.0,
+        border_lenslets=0,
+    )
+    x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
+    bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
+    along_m = centered_steps(_POINTS) / _POINTS * 2 * bench.field.half_width_m
+    position_m = np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
+    source = SourcePoints(position_m=position_m, area_m2=np.ones(len(position_m)))
+    return lambda: model.irradiance(source, phase_only(lambda _x, _y: bend))
+
+
 def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     """Prepare the image (row, column) of one object point."""
     hcipy = import_module("hcipy")
@@ -221,7 +277,7 @@ def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
     propagator = hcipy.FresnelPropagator(grid, sensor.lenslet_focal_length_m)
     aside_m = frames.bench.field.half_width_m / 2
     tilt = sensor.wavenumber_rad_per_m / frames.bench.field.collimator_focal_length_m * aside_m * (grid.x + grid.y)
-    phase = BEND_RAD_PER_M2 * (grid.x**2 + grid.y**2) + tilt
+    phase = _BEND_RAD_PER_M2 * (grid.x**2 + grid.y**2) + tilt
 
     def image() -> NDArray[Any]:
         light = hcipy.Wavefront(hcipy.Field(np.exp(1j * phase), grid), sensor.wavelength_m)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from contextlib import closing
 from pathlib import Path
@@ -17,9 +16,8 @@ from app.errors import InputError, RunError
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
-    from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, MeasuredRun
+    from app.evaluation.live_path import LiveFigures, LivePlan, MeasuredRun
     from app.gui.shell.main_window import MainWindow
-    from app.timing import StageTimes
 
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
 _POLL_S = 0.1
@@ -48,10 +46,10 @@ def benchmark(
 ) -> None:
     """Measure the speed of the reconstruction.
 
-    It times registration, solve, search for layers, forward model and lattices of up to 100 x 100 lenslets in some
-    minutes. With --live it measures instead whether the window keeps up with 70 frames/s, and then the rate without
-    window and disk. Refinement is off unless --set reconstruction.refine=true turns it on. `python -m studies
-    contestants`, in a checkout, compares with other software.
+    It times registration and solve of a frame with the quadratic warp, for lattices of up to 100 x 100 lenslets, and
+    the search for layers, in some minutes. With --live it measures instead whether the window keeps up with 70
+    frames/s, and then the rate without window and disk. Refinement is off unless --set reconstruction.refine=true turns
+    it on. `python -m studies contestants`, in a checkout, compares with other software.
 
     Example: svwfs benchmark --live 60 --check
     """
@@ -59,7 +57,7 @@ def benchmark(
 
     options.check_files(json, suffixes=(".json",), overwrite=overwrite)
     if live is not None:
-        from app.evaluation.benchmark.live_path import LivePlan
+        from app.evaluation.live_path import LivePlan
 
         settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
         loaded = options.load(bench or DEFAULT, list(settings))
@@ -94,7 +92,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.commands.display import use_display
-    from app.evaluation.benchmark.live_path import LiveFigures, MeasuredRun, recording_folder
+    from app.evaluation.live_path import LiveFigures, MeasuredRun, recording_folder
 
     is_seen = use_display()
     warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
@@ -141,33 +139,22 @@ def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:
 
 
 def print_benchmark(result: dict[str, Any]) -> None:
-    """Print the times of each warp, of the other stages, and of growing lattices."""
-    machine, layer = result["machine"], result["layer"]
-    terminal.print_sentence(f"{machine['processor']}, {machine['cores']} cores")
-    lines = [
-        [name, *(f"{times[each] * 1e3:.2f}" for each in ("median_s", "best_s"))]
-        for name, times in result["times"].items()
-    ]
-    terminal.print_table(None, ["one frame", "median, ms", "best, ms"], lines)
-    terminal.print_sentence(f"{result['frames_per_s']:.0f} frames/s in a loop (quadratic, warm)")
-    terminal.print_sentence(
-        f"one layer at a known distance {layer['known_s'] * 1e3:.1f} ms, search for layers {layer['search_s']:.2f} s"
-    )
-    terminal.print_sentence(f"forward model {result['forward']['s_per_point'] * 1e3:.2f} ms per object point")
-    headings = ["lenslets", "Q", "px", "register", "zonal", "modal", "all, ms", "each, us", "prepare, s", "peak, MB"]
+    """Print the times of one frame and of growing lattices."""
+    machine = result["machine"]
+    terminal.print_sentence(f"{machine['processor'] or machine['system']}, {machine['cores']} cores")
+    headings = ["lenslets", "px", "register", "solve", "one frame, ms", "frames/s", "each lenslet, us", "prepare, s"]
     lines = [
         [
-            f"{size['lenslets']} x {size['lenslets']}",
-            f"{size['field_modes']}",
-            f"{size['frame_px']}",
-            *(f"{size[f'{stage}_s'] * 1e3:.2f}" for stage in ("register", "zonal", "modal", "frame")),
-            f"{size['per_lenslet_us']:.1f}",
-            f"{size['prepare_s']:.1f}",
-            f"{size.get('peak_memory_mb', math.nan):.0f}",
+            f"{each['lenslets']} x {each['lenslets']}",
+            f"{each['frame_px']}",
+            *(f"{each[name] * 1e3:.2f}" for name in ("register_s", "solve_s", "frame_s")),
+            f"{each['frames_per_s']:.0f}",
+            f"{each['per_lenslet_us']:.1f}",
+            f"{each['prepare_s']:.1f}",
         ]
-        for size in (*result["growth"], *([result["four_k"]] if "four_k" in result else []))
+        for each in result["lattices"]
     ]
-    terminal.print_table(None, headings, lines)
+    terminal.print_table(None, headings, lines, [f"search for layers {result['layer_search_s']:.2f} s"])
 
 
 def print_figures(figures: LiveFigures) -> None:
@@ -186,47 +173,11 @@ def print_figures(figures: LiveFigures) -> None:
     terminal.print_sentence(
         "the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen"
     )
-    checks = figures.checks()
     lines = []
-    for name, measured, limit in _lines(figures):
-        check = checks.get(limit)
-        colour = "[green]met[/]" if check and check.is_met else "[red]missed[/]"
-        lines.append([name, measured, *((check.asked, colour) if check else ("", ""))])
-    terminal.print_table(None, ("live", "measured", "asked", ""), lines)
-    terminal.print_sentence(f"Times are median / 99 % of the newest {KEPT} / longest since the start.")
+    for name, measured, limit in figures.lines():
+        colour = "[green]met[/]" if limit and limit.is_met else "[red]missed[/]"
+        lines.append([name, measured, *((limit.asked, colour) if limit else ("", ""))])
+    notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the start."]
     if recording is not None and recording.problem:
-        terminal.print_sentence(f"The recording ended early: {recording.problem}")
-
-
-def _lines(figures: LiveFigures) -> list[tuple[str, str, str]]:
-    """Name, measured value and name of the limit of each line of the table."""
-    from app.evaluation.benchmark.live_path import share
-
-    window, bare, recording = figures.window, figures.bare, figures.recording
-    frames, times, memory = window.frames, window.times, "unknown on this system"
-    if figures.memory_growth is not None:
-        memory = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * figures.memory_growth)
-    recorded = []
-    if recording is not None:
-        recorded.append(("frame written to the disk", _milliseconds(times["record"]), "record_p99_s"))
-        recorded.append(("recorded, with warm-up", f"{recording.frames}", "recording_problems"))
-    return [
-        ("frames acquired", f"{frames.acquired}", ""),
-        ("reconstructed", f"{frames.reconstructed}: {100 * share(frames):.2f} %", "share"),
-        ("lost by the camera", f"{frames.lost}", "lost"),
-        ("camera to result", _milliseconds(times["to_result"]), "to_result_p99_s"),
-        ("camera to screen", _milliseconds(times["to_screen"]), ""),
-        ("window redrawn", f"{window.redrawn_hz:.1f} /s", "redrawn_hz"),
-        ("redraw, with panels" if figures.plan.with_panels else "redraw", _milliseconds(times["draw"]), "draw_p50_s"),
-        *recorded,
-        (f"memory, last {figures.plan.memory_s:.0f} s", memory, "memory_growth"),
-        (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", ""),
-        ("rate with it", f"{window.rate_hz:.2f} /s: {100 * figures.rate_ratio:.1f} %", "rate_ratio"),
-        ("first wavefront after", f"{window.first_wavefront_s:.1f} s", "first_wavefront_s"),
-    ]
-
-
-def _milliseconds(times: StageTimes) -> str:
-    if not times.count:
-        return "none"
-    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
+        notes.append(f"The recording ended early: {recording.problem}")
+    terminal.print_table(None, ("live", "measured", "asked", ""), lines, notes)

@@ -7,7 +7,6 @@ import platform
 import re
 import sys
 import time
-from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import partial
@@ -28,12 +27,9 @@ from drivers.contract import camera as camera_contract
 from drivers.contract import light as light_contract
 from drivers.device import Property
 from drivers.errors import DeviceError, Disconnected
-from drivers.interface import Frame
 from drivers.light_source import LightSource
 
 _LIGHT_SHARE = 0.05  # maximum share of the light's range in a check
-_MOST_CALLS = 10  # kept
-_LONGEST = 100  # characters of an answer
 _SERIAL = re.compile(r"\b(?=\w*\d{5})\w+\b")  # of five digits or more, as M00331234
 _OWN_KEYS = ("serial", "cameraid", "userid")
 _HIDDEN = "(serial number)"
@@ -129,10 +125,10 @@ class _CheckLog:
         self.print(f"opened in {opened_s:.2f} s")
 
     def check(self, check: Callable[..., None], device: Camera | LightSource, *more: Any) -> None:
-        """Check a requirement and print the result, for a failure the last calls with their answers."""
-        trace, start_s, problem = Trace(device), time.perf_counter(), ""
+        """Check a requirement and print the result."""
+        start_s, problem = time.perf_counter(), ""
         try:
-            check(trace, *more)
+            check(device, *more)
         except Disconnected:
             raise
         except (ContractBroken, DeviceError) as error:
@@ -140,8 +136,8 @@ class _CheckLog:
         took_s = time.perf_counter() - start_s
         self.checks, self.failed = self.checks + 1, self.failed + bool(problem)
         self.print(f"  {'FAILED' if problem else 'ok':7}{took_s:7.2f} s  {describe(check)}")
-        for line in (problem, *(f"  {call}" for call in trace.calls)) if problem else ():
-            self.print(f"         {line}")
+        if problem:
+            self.print(f"         {problem}")
 
 
 def _configured(bench: Bench, name: str) -> DeviceSettings:
@@ -169,35 +165,6 @@ def _connected(name: str) -> tuple[str, DeviceSettings]:
     raise RunError(f"{name} is not connected" + (f": {missing}" if missing else "; `svwfs devices` shows what is"))
 
 
-class Trace:
-    """A device that notes its last calls, answers and their durations."""
-
-    def __init__(self, device: Any) -> None:
-        self._device = device
-        self.calls: deque[str] = deque(maxlen=_MOST_CALLS)
-
-    def __getattr__(self, name: str) -> Any:
-        def call(*arguments: object) -> Any:
-            what = f"{name}({', '.join(map(repr, arguments))})"
-            return self._note(what, lambda: getattr(self._device, name)(*arguments))
-
-        is_method = callable(getattr(type(self._device), name, None))
-        return call if is_method else self._note(name, lambda: getattr(self._device, name))
-
-    def _note(self, what: str, ask: Callable[[], Any]) -> Any:
-        """Return the device's answer, and note it or the error."""
-        start_s, noted = time.perf_counter(), None
-        try:
-            noted = ask()
-        except Exception as error:
-            noted = f"{type(error).__name__}: {error}"
-            raise
-        finally:
-            took_s = time.perf_counter() - start_s
-            self.calls.append(f"{what} -> {_short(noted)}, {took_s:.3f} s")
-        return noted
-
-
 def identifying_texts(name: str, settings: Mapping[str, object], properties: Mapping[str, Property]) -> frozenset[str]:
     """Texts that identify this one device rather than its model."""
     keys = ("serial_number",) if "adapter" in settings else ("device", "serial_number")  # an adapter's is a model
@@ -216,12 +183,3 @@ def hide(text: str, secrets: frozenset[str]) -> str:
     for secret in sorted(secrets, key=len, reverse=True):
         text = text.replace(secret, _HIDDEN)
     return text.replace(str(Path.home()), "~")
-
-
-def _short(answer: object) -> str:
-    if isinstance(answer, Frame):
-        rows, columns = answer.pixels.shape
-        least, most = answer.pixels.min(), answer.pixels.max()
-        return f"frame {answer.index}, {rows} x {columns}, counts {least} ... {most}, exposed {answer.exposure_s:g} s"
-    text = f"{len(answer)} values" if isinstance(answer, Mapping) else str(answer)
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."

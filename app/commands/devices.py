@@ -15,7 +15,7 @@ def devices(
         typer.Option(
             metavar="NAME",
             help="Test everything that this device, named as in the list, must be able to do, and print a report that"
-            " can be published: versions, what was tried, what was answered, timings. A light shines during the test,"
+            " can be published: versions, what was tried, what failed, timings. A light shines during the test,"
             " with at most 5 % of its range.",
         ),
     ] = None,

@@ -21,7 +21,7 @@ from app.bench.config import load_bench
 from app.bench.device_kinds import RecordingSettings
 from app.commands.benchmark import print_figures
 from app.errors import InputError, Interrupted, ended_by
-from app.evaluation.benchmark.live_path import LiveFigures, LivePlan, Span, recording_folder, share
+from app.evaluation.live_path import LiveFigures, LivePlan, Span, recording_folder, share
 from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
 from app.timing import Timings
@@ -41,7 +41,7 @@ def span_of(
         for _ in range(count):
             timings.note(stage, seconds)  # type: ignore[arg-type] # each is a stage
     frames = FrameTotals(acquired=700, reconstructed=round(10 * rate_hz))
-    how = {"first_wavefront_s": 14.0, "began_s": 0.0, "seconds": 10.0, "frames": frames, "memory_mb": (800.0, 808.0)}
+    how = {"first_wavefront_s": 14.0, "seconds": 10.0, "frames": frames, "memory_mb": (800.0, 808.0)}
     return Span(**{"times": timings.summary(), **how, **changes})
 
 
@@ -54,7 +54,7 @@ def figures_of(window: Span, bare: Span | None = None, problem: str = "", *, wit
 def test_good_run_misses_no_limit() -> None:
     figures = figures_of(span_of())
     assert figures.missed() == []
-    assert len(figures.checks()) == 10
+    assert len(figures.limits()) == 10
     assert figures.memory_growth == pytest.approx(0.01)
 
 
@@ -91,7 +91,7 @@ def test_empty_run_misses_limits_and_is_valid_json() -> None:
     figures = replace(figures_of(empty, empty), recording=None)
     names = {line.split()[0] for line in figures.missed()}
     assert names == {"share", "to_result_p99_s", "redrawn_hz", "draw_p50_s", "rate_ratio"}
-    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["memory"]["growth"] is None
+    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["window"]["memory_mb"] == [None, None]
     print_figures(figures)
 
 

@@ -21,7 +21,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import benchmark_acquisition, print_figures
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.benchmark.live_path import LivePlan, MeasuredRun, resident_mb
+from app.evaluation.live_path import LivePlan, MeasuredRun, resident_mb
 from drivers.interface import Disconnected
 
 
@@ -85,8 +85,8 @@ def test_run_measures_an_instrument_in_a_process_of_its_own(
     assert fractions == sorted(fractions)
     assert reports[-1][0].startswith("no window: ")
     live = json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]
-    assert live["window"]["timings"]["to_result"]["p99_s"] > 0
-    assert live["without_window"]["timings"]["draw"]["p99_s"] is None
+    assert live["window"]["times"]["to_result"]["p99_s"] > 0
+    assert live["without_window"]["times"]["draw"]["p99_s"] is None
     print_figures(figures)
     lines = capsys.readouterr().out.splitlines()
     assert max(map(len, lines[3:])) <= 80

@@ -8,12 +8,12 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
 from operator import ge, le, lt
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.start_up import HeadlessRun
@@ -126,7 +126,6 @@ class Span:
     """Measurements after the warm-up."""
 
     first_wavefront_s: float  # since its process was started, with opening and calibrating the devices
-    began_s: float  # by time.perf_counter()
     seconds: float
     frames: FrameTotals
     times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
@@ -141,6 +140,11 @@ class Span:
     def redrawn_hz(self) -> float:
         """Rate at which a window showed something new."""
         return self.times["draw"].count / self.seconds
+
+    def tree(self) -> dict[str, Any]:
+        """Return everything for JSON."""
+        rates = {"rate_hz": self.rate_hz, "redrawn_hz": self.redrawn_hz}
+        return {**asdict(self), **rates, "share": _known(share(self.frames)), "times": timing_facts(self.times)}
 
 
 class MeasuredRun(HeadlessRun):
@@ -189,33 +193,34 @@ class MeasuredRun(HeadlessRun):
         began_s, before, stages = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
         end_s = began_s + self._seconds
         yield from wait(end_s - self._memory_s, "measuring")
-        memory_mb = self._memory_mb()
+        memory_mb = resident_mb(os.getpid(), self._process)
         yield from wait(end_s, "measuring")
         ended_s, after, times = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
         self._span = Span(
             first_wavefront_s=first_s - self._made_s,
-            began_s=began_s,
             seconds=ended_s - began_s,
             frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
             times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
-            memory_mb=(memory_mb, self._memory_mb()),
+            memory_mb=(memory_mb, resident_mb(os.getpid(), self._process)),
         )
         if folder is not None:
             self.send(lambda to: (to.stop_recording(),))
             yield from self.until(self.is_recorded, text="measuring", fraction=lambda: 1.0)
 
-    def _memory_mb(self) -> float | None:
-        return resident_mb(os.getpid(), self._process)
 
+class Limit(NamedTuple):
+    """A figure and the limit that `--check` asks for; an unknown figure misses it."""
 
-@dataclass(frozen=True, slots=True)
-class LimitCheck:
-    """One figure beside its limit."""
-
+    name: str  # in JSON
     value: float
+    holds: Callable[[float, float], bool]
     limit: float
     asked: str  # the limit in words
-    is_met: bool
+
+    @property
+    def is_met(self) -> bool:
+        """True if the figure keeps the limit."""
+        return self.holds(self.value, self.limit)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -239,67 +244,97 @@ class LiveFigures:
         begin_mb, end_mb = self.window.memory_mb
         return None if begin_mb is None or end_mb is None else end_mb / begin_mb - 1
 
-    def checks(self) -> dict[str, LimitCheck]:
-        """Compare the figures with their limits, by name in the JSON; unknown figures meet none."""
-        window = self.window
-        times = window.times
-        figures = {
-            "share": (share(window.frames), ge, 0.999, ">= 99.9 %"),
-            "lost": (window.frames.lost, le, 0, "none"),
-            "to_result_p99_s": (times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms"),
-            "redrawn_hz": (window.redrawn_hz, ge, 20.0, ">= 20 /s"),
-            **({} if self.plan.with_panels else {"draw_p50_s": (times["draw"].p50_s, le, 0.008, "half <= 8 ms")}),
-            "rate_ratio": (self.rate_ratio, ge, 0.95, ">= 95 %"),
-            "first_wavefront_s": (window.first_wavefront_s, lt, 15.0, "< 15 s, warm"),
-        }
-        if self.memory_growth is not None:
-            figures["memory_growth"] = (self.memory_growth, lt, 0.02, "< 2 %")
-        if self.recording is not None:
-            figures["record_p99_s"] = (times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
-            figures["recording_problems"] = (bool(self.recording.problem), le, 0, "all frames")
-        return {
-            name: LimitCheck(value, limit, asked, holds(value, limit))
-            for name, (value, holds, limit, asked) in figures.items()
-        }
+    def lines(self) -> list[tuple[str, str, Limit | None]]:
+        """Return name, measured value and limit of every line of the table."""
+        window, bare, recording, growth = self.window, self.bare, self.recording, self.memory_growth
+        frames, times, with_panels, first_s = (
+            window.frames,
+            window.times,
+            self.plan.with_panels,
+            window.first_wavefront_s,
+        )
+        memory = "unknown on this system"
+        if growth is not None:
+            memory = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * growth)
+        to_result = Limit("to_result_p99_s", times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms")
+        draw = Limit("draw_p50_s", times["draw"].p50_s, le, 0.008, "half <= 8 ms")
+        written: list[tuple[str, str, Limit | None]] = []
+        if recording is not None:
+            record = Limit("record_p99_s", times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
+            problem = Limit("recording_problems", bool(recording.problem), le, 0, "all frames")
+            written.append(("frame written to the disk", _milliseconds(times["record"]), record))
+            written.append(("recorded, with warm-up", f"{recording.frames}", problem))
+        return [
+            ("frames acquired", f"{frames.acquired}", None),
+            (
+                "reconstructed",
+                f"{frames.reconstructed}: {100 * share(frames):.2f} %",
+                Limit("share", share(frames), ge, 0.999, ">= 99.9 %"),
+            ),
+            ("lost by the camera", f"{frames.lost}", Limit("lost", frames.lost, le, 0, "none")),
+            ("camera to result", _milliseconds(times["to_result"]), to_result),
+            ("camera to screen", _milliseconds(times["to_screen"]), None),
+            (
+                "window redrawn",
+                f"{window.redrawn_hz:.1f} /s",
+                Limit("redrawn_hz", window.redrawn_hz, ge, 20.0, ">= 20 /s"),
+            ),
+            (
+                "redraw, with panels" if with_panels else "redraw",
+                _milliseconds(times["draw"]),
+                None if with_panels else draw,
+            ),
+            *written,
+            (
+                f"memory, last {self.plan.memory_s:.0f} s",
+                memory,
+                None if growth is None else Limit("memory_growth", growth, lt, 0.02, "< 2 %"),
+            ),
+            (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", None),
+            (
+                "rate with it",
+                f"{window.rate_hz:.2f} /s: {100 * self.rate_ratio:.1f} %",
+                Limit("rate_ratio", self.rate_ratio, ge, 0.95, ">= 95 %"),
+            ),
+            (
+                "first wavefront after",
+                f"{first_s:.1f} s",
+                Limit("first_wavefront_s", first_s, lt, 15.0, "< 15 s, warm"),
+            ),
+        ]
+
+    def limits(self) -> list[Limit]:
+        """Return all figures that have a limit."""
+        return [limit for *_, limit in self.lines() if limit is not None]
 
     def missed(self) -> list[str]:
         """Return a sentence for every figure that misses its limit."""
-        missed = {name: each for name, each in self.checks().items() if not each.is_met}
-        return [f"{name} is {each.value:.3g}, asked {each.asked}" for name, each in missed.items()]
+        return [f"{each.name} is {each.value:.3g}, asked {each.asked}" for each in self.limits() if not each.is_met]
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON, with computer and libraries."""
         plan, recording = self.plan, self.recording
-        begin_mb, end_mb = self.window.memory_mb
-        memory = {"seconds": plan.memory_s, "begin_mb": begin_mb, "end_mb": end_mb, "growth": self.memory_growth}
         live = {
             "seconds": plan.seconds,
             "warm_up_s": plan.warm_up_s,
             "window_is_seen": self.is_seen,
             "bench": write_bench(plan.bench),
-            "first_wavefront_s": self.window.first_wavefront_s,
-            "window": _span_tree(self.window),
-            "without_window": _span_tree(self.bare),
-            "rate_ratio": _known(self.rate_ratio),
-            "memory": memory,
+            "window": self.window.tree(),
+            "without_window": self.bare.tree(),
+            "memory_s": plan.memory_s,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
             "limits": {
-                name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
-                for name, each in self.checks().items()
+                each.name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
+                for each in self.limits()
             },
         }
         return {"live": live, "machine": machine_facts(), "versions": versions()}
 
 
-def _span_tree(span: Span) -> dict[str, Any]:
-    return {
-        "seconds": span.seconds,
-        "frames": asdict(span.frames),
-        "share": _known(share(span.frames)),
-        "rate_hz": span.rate_hz,
-        "redrawn_hz": span.redrawn_hz,
-        "timings": timing_facts(span.times),
-    }
+def _milliseconds(times: StageTimes) -> str:
+    if not times.count:
+        return "none"
+    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
 
 
 def _known(value: float) -> float | None:
