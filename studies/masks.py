@@ -14,9 +14,9 @@ from app.evaluation.frames import NoiseFreeFrames, seeded, with_screen, with_sou
 from app.evaluation.mask_accuracy import (
     PEAKS_E,
     WARP,
-    LinearPass,
     bound_rad,
     calibration_of,
+    linear_pass,
     lit_views,
     predicted_accuracies,
     with_mask,
@@ -133,7 +133,7 @@ def _predicted(bench: Bench, square: Image, views: Booleans, seeds: range) -> Ro
         exposure = peak_e / PEAKS_E[1]
         bound = bound_rad(bench, reconstructor, field_modes=modes, views=views, exposure=exposure)
         found[f"bound_{peak_e:.0f}_rad"] = bound
-    predict = LinearPass(bench, reconstructor, counts)
+    predict = linear_pass(bench, reconstructor, counts)
     for sample, changes in _SAMPLES.items():
         errors = []
         for screen in seeded(with_screen(bench, **changes), seeds):

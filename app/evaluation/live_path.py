@@ -247,61 +247,46 @@ class LiveFigures:
     def lines(self) -> list[tuple[str, str, Limit | None]]:
         """Return name, measured value and limit of every line of the table."""
         window, bare, recording, growth = self.window, self.bare, self.recording, self.memory_growth
-        frames, times, with_panels, first_s = (
-            window.frames,
-            window.times,
-            self.plan.with_panels,
-            window.first_wavefront_s,
-        )
-        memory = "unknown on this system"
-        if growth is not None:
-            memory = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * growth)
-        to_result = Limit("to_result_p99_s", times["to_result"].p99_s, lt, 0.030, "99 % < 30 ms")
-        draw = Limit("draw_p50_s", times["draw"].p50_s, le, 0.008, "half <= 8 ms")
-        written: list[tuple[str, str, Limit | None]] = []
+        frames, times, first_s, ratio = window.frames, window.times, window.first_wavefront_s, self.rate_ratio
+        lines: list[tuple[str, str, Limit | None]] = []
+
+        def add(name: str, measured: str, *limit: Any) -> None:
+            lines.append((name, measured, Limit(*limit) if limit else None))
+
+        def add_times(name: str, stage: TimedStage, *limit: Any) -> None:
+            each = times[stage]
+            shown = " / ".join(f"{1e3 * seconds:.1f}" for seconds in (each.p50_s, each.p99_s, each.max_s))
+            add(name, f"{shown} ms" if each.count else "none", *limit)
+
+        add("frames acquired", f"{frames.acquired}")
+        reconstructed = f"{frames.reconstructed}: {100 * share(frames):.2f} %"
+        add("reconstructed", reconstructed, "share", share(frames), ge, 0.999, ">= 99.9 %")
+        add("lost by the camera", f"{frames.lost}", "lost", frames.lost, le, 0, "none")
+        late_s = times["to_result"].p99_s
+        add_times("camera to result", "to_result", "to_result_p99_s", late_s, lt, 0.030, "99 % < 30 ms")
+        add_times("camera to screen", "to_screen")
+        redrawn_hz = window.redrawn_hz
+        add("window redrawn", f"{redrawn_hz:.1f} /s", "redrawn_hz", redrawn_hz, ge, 20.0, ">= 20 /s")
+        if self.plan.with_panels:
+            add_times("redraw, with panels", "draw")
+        else:
+            add_times("redraw", "draw", "draw_p50_s", times["draw"].p50_s, le, 0.008, "half <= 8 ms")
         if recording is not None:
-            record = Limit("record_p99_s", times["record"].p99_s, lt, 0.015, "99 % < 15 ms")
-            problem = Limit("recording_problems", bool(recording.problem), le, 0, "all frames")
-            written.append(("frame written to the disk", _milliseconds(times["record"]), record))
-            written.append(("recorded, with warm-up", f"{recording.frames}", problem))
-        return [
-            ("frames acquired", f"{frames.acquired}", None),
-            (
-                "reconstructed",
-                f"{frames.reconstructed}: {100 * share(frames):.2f} %",
-                Limit("share", share(frames), ge, 0.999, ">= 99.9 %"),
-            ),
-            ("lost by the camera", f"{frames.lost}", Limit("lost", frames.lost, le, 0, "none")),
-            ("camera to result", _milliseconds(times["to_result"]), to_result),
-            ("camera to screen", _milliseconds(times["to_screen"]), None),
-            (
-                "window redrawn",
-                f"{window.redrawn_hz:.1f} /s",
-                Limit("redrawn_hz", window.redrawn_hz, ge, 20.0, ">= 20 /s"),
-            ),
-            (
-                "redraw, with panels" if with_panels else "redraw",
-                _milliseconds(times["draw"]),
-                None if with_panels else draw,
-            ),
-            *written,
-            (
-                f"memory, last {self.plan.memory_s:.0f} s",
-                memory,
-                None if growth is None else Limit("memory_growth", growth, lt, 0.02, "< 2 %"),
-            ),
-            (f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s", None),
-            (
-                "rate with it",
-                f"{window.rate_hz:.2f} /s: {100 * self.rate_ratio:.1f} %",
-                Limit("rate_ratio", self.rate_ratio, ge, 0.95, ">= 95 %"),
-            ),
-            (
-                "first wavefront after",
-                f"{first_s:.1f} s",
-                Limit("first_wavefront_s", first_s, lt, 15.0, "< 15 s, warm"),
-            ),
-        ]
+            written_s, problem = times["record"].p99_s, bool(recording.problem)
+            add_times("frame written to the disk", "record", "record_p99_s", written_s, lt, 0.015, "99 % < 15 ms")
+            recorded = f"{recording.frames}"
+            add("recorded, with warm-up", recorded, "recording_problems", problem, le, 0, "all frames")
+        memory = f"memory, last {self.plan.memory_s:.0f} s"
+        if growth is None:
+            add(memory, "unknown on this system")
+        else:
+            grown = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * growth)
+            add(memory, grown, "memory_growth", growth, lt, 0.02, "< 2 %")
+        add(f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s")
+        rate = f"{window.rate_hz:.2f} /s: {100 * ratio:.1f} %"
+        add("rate with it", rate, "rate_ratio", ratio, ge, 0.95, ">= 95 %")
+        add("first wavefront after", f"{first_s:.1f} s", "first_wavefront_s", first_s, lt, 15.0, "< 15 s, warm")
+        return lines
 
     def limits(self) -> list[Limit]:
         """Return all figures that have a limit."""
@@ -329,12 +314,6 @@ class LiveFigures:
             },
         }
         return {"live": live, "machine": machine_facts(), "versions": versions()}
-
-
-def _milliseconds(times: StageTimes) -> str:
-    if not times.count:
-        return "none"
-    return " / ".join(f"{1e3 * seconds:.1f}" for seconds in (times.p50_s, times.p99_s, times.max_s)) + " ms"
 
 
 def _known(value: float) -> float | None:

@@ -7,6 +7,7 @@ displacement: where a mask hides some, the bound is large, and only the layers o
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -86,7 +87,7 @@ def _predicted(bench: Bench, square: Image, progress: Progress) -> dict[str, flo
     reconstructor = calibration_of(bench, reference).reconstructor()
     found = {"light over the square's": float(reference.sum() / square.sum())}
     found["displacements hidden in each lenslet"] = float(reconstructor.hidden)
-    displacement = LinearPass(bench, reconstructor, reference)(frames.sample)
+    displacement = linear_pass(bench, reconstructor, reference)(frames.sample)
     for assumed, sample in (("any wavefront", FREE), ("layers", reconstructor.find_sample(displacement))):
         error = reconstructor.solve(displacement, sample=sample).views - frame.truth
         found[f"residual, {assumed}"] = mean_rms(np.where(displacement.valid, error, np.nan)[views])
@@ -190,29 +191,27 @@ def true_lenslet(bench: Bench, width: int) -> LensletImage:
     return lenslet_image(bench, points, width, simulation.pupil_samples)
 
 
-class LinearPass:
-    """One pass of a reconstruction for screens without noise, to first order in their wavefronts."""
+def linear_pass(bench: Bench, reconstructor: Reconstructor, reference: Image) -> Callable[[Sample], Displacement]:
+    """Prepare one pass of a reconstruction for screens without noise, to first order in their wavefronts.
 
-    def __init__(self, bench: Bench, reconstructor: Reconstructor, reference: Image) -> None:
-        """Take the reference (row, column) above the dark, in the unit of the frames."""
-        self._bench = bench
-        self._at_rest = reconstructor.register(reference)
-        registration = reconstructor.registration_for(reference)
-        if not isinstance(registration, WarpRegistration):
-            raise TypeError("only a registration that fits warps has a response")
-        model = true_lenslet(bench, reconstructor.subimages.width)
-        self._modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
-        x, y = model.position.T
-        derivatives = model.derivatives(_DEGREE, self._modes.values(x, y), self._modes.gradients(x, y))
-        self._response = registration.response(model.image(), derivatives) @ registration.parameters
+    The reference (row, column) is above the dark, in the unit of the frames.
+    """
+    registration, at_rest = reconstructor.registration_for(reference), reconstructor.register(reference)
+    if not isinstance(registration, WarpRegistration):
+        raise TypeError("only a registration that fits warps has a response")
+    model = true_lenslet(bench, reconstructor.subimages.width)
+    modes = LegendreModes((_DEGREE + 1) * (_DEGREE + 2) // 2)
+    x, y = model.position.T
+    derivatives = model.derivatives(_DEGREE, modes.values(x, y), modes.gradients(x, y))
+    response = registration.response(model.image(), derivatives) @ registration.parameters
+    rows, columns = at_rest.coefficients.shape[:2]
 
-    def __call__(self, sample: Sample) -> Displacement:
-        """Return the displacement found for a sample."""
-        local = local_screen(sample, self._bench, self._modes)
-        displacement = np.einsum("lnmqk,lnmq->lk", self._response, local, optimize=True)
-        shape = self._at_rest.coefficients.shape
-        displacement = np.swapaxes(displacement.reshape(*shape[:2], 2, -1), 2, 3)
-        return replace(self._at_rest, coefficients=self._at_rest.coefficients + displacement)
+    def displacement(sample: Sample) -> Displacement:
+        found = np.einsum("lnmqk,lnmq->lk", response, local_screen(sample, bench, modes), optimize=True)
+        found = np.swapaxes(found.reshape(rows, columns, 2, -1), 2, 3)
+        return replace(at_rest, coefficients=at_rest.coefficients + found)
+
+    return displacement
 
 
 def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:

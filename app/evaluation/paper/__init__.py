@@ -1,13 +1,11 @@
 """The tables of `svwfs paper`: table 1, table 2, and the sources of the supplement."""
 
-import hashlib
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass, replace
-from functools import cache
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -16,10 +14,8 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-import reconstruction
 from app.acquisition.devices import simulated_bench
-from app.bench.config import Bench, write_bench
-from app.cache import Arrays, cached
+from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
@@ -167,12 +163,16 @@ PAPER: dict[Table, dict[str, tuple[float, float, float]]] = {
 }
 
 
-def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMethod) -> Arrays:
-    """Reconstruct the frame of the method's mask, cached by frame, settings and source code.
+class Outcome(NamedTuple):
+    """What a method makes of a frame."""
 
-    Returns the wavefronts `views`, rad, (view_row, view_column, lenslet_row, lenslet_column), the number of lenslets
-    `lost`, and `seconds` for the frame, without preparing the reference.
-    """
+    views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column)
+    lost: int  # lenslets
+    seconds: float  # for the frame, without preparing the reference
+
+
+def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMethod) -> Outcome:
+    """Reconstruct the frame of the method's mask."""
     pair, stars = frames[method.mask], bench.simulation.source
     registration = replace(
         method.registration,
@@ -181,29 +181,13 @@ def reconstructed(bench: Bench, frames: Mapping[str, FramePair], method: TableMe
         star_spacing_m=stars.star_spacing_m,
     )
     bench = replace(bench, registration=registration, reconstruction=method.reconstruction)
-    own = OwnMethods(method.own)
-    digest = hashlib.sha256(f"{write_bench(bench)}{own}".encode())
-    for part_of_it in (_source_code(), pair.reference.tobytes(), pair.frame.tobytes()):
-        digest.update(part_of_it)
-    return cached("paper", digest.hexdigest(), lambda: _reconstruct(bench, own, pair))
-
-
-def _reconstruct(bench: Bench, own: OwnMethods, pair: FramePair) -> Arrays:
-    lattice = bench.design_lattice(*pair.reference.shape)
-    dark = np.zeros_like(pair.reference)
+    lattice, dark = bench.design_lattice(*pair.reference.shape), np.zeros_like(pair.reference)
     given = Calibration.of_images(bench, pair.reference, dark=dark, lattice=lattice)
-    reconstructor = replace(given, own=own).reconstructor()
+    reconstructor = replace(given, own=OwnMethods(method.own)).reconstructor()
     start_s = time.perf_counter()
     wavefront = reconstructor(pair.frame)
     seconds = time.perf_counter() - start_s
-    lost = np.count_nonzero(~wavefront.displacement.valid)
-    return {"views": wavefront.views, "lost": np.array(lost), "seconds": np.array(seconds)}
-
-
-@cache
-def _source_code() -> bytes:
-    folder = Path(str(reconstruction.__file__)).parent
-    return b"".join(path.read_bytes() for path in (*sorted(folder.rglob("*.py")), Path(nonrigid_methods.__file__)))
+    return Outcome(wavefront.views, int(np.count_nonzero(~wavefront.displacement.valid)), seconds)
 
 
 NUMBERS = ["min_rad", "max_rad", "mean_rad"]
@@ -259,7 +243,7 @@ def _table2(methods: Methods, bench: Bench, progress: Progress) -> Iterator[Row]
             raise InputError(f"the stars cannot be measured on this bench: {error}") from error
         yield _compared(f"stars_zonal{suffix}_against_truth", bench, stars, truth)
         named = {f"{name}{suffix}": method for name, method in methods.items() if method.mask == "square"}
-        yield from _all_compared(each, its_frames, stars["views"], named, part(progress, half, 2))
+        yield from _all_compared(each, its_frames, stars.views, named, part(progress, half, 2))
 
 
 def _sources(_: Methods, bench: Bench, progress: Progress) -> Iterator[Row]:
@@ -286,19 +270,19 @@ def _all_compared(
             yield {"method": name, "problem": str(error)}
 
 
-def _compared(name: str, bench: Bench, made: Arrays, truth: Floats) -> Row:
+def _compared(name: str, bench: Bench, made: Outcome, truth: Floats) -> Row:
     """Return the wavefronts next to the truth, rad, (view_row, view_column, lenslet_row, lenslet_column).
 
     A result with an unknown view of the field has no residual.
     """
     x, y = bench.field.view_x_m, bench.field.view_y_m
     is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
-    residual = rms(made["views"] - truth)
+    residual = rms(made.views - truth)
     if np.isnan(residual[is_inside]).any():
-        return {"method": name, "problem": f"{made['lost']} lenslets are lost: a view is unknown"}
+        return {"method": name, "problem": f"{made.lost} lenslets are lost: a view is unknown"}
     numbers = (float(of(residual)) for of in (np.nanmin, np.nanmax, np.nanmean))
-    scalars = dict(zip(NUMBERS, numbers, strict=True)) | {each: float(made[each]) for each in ("lost", "seconds")}
-    return {"method": name, "views": made["views"], "truth": truth, **scalars}
+    scalars = dict(zip(NUMBERS, numbers, strict=True)) | {"lost": float(made.lost), "seconds": made.seconds}
+    return {"method": name, "views": made.views, "truth": truth, **scalars}
 
 
 def problems(data: pd.DataFrame) -> dict[str, str]:

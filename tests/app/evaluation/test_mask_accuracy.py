@@ -14,7 +14,7 @@ from support.command_line import run
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames
-from app.evaluation.mask_accuracy import LinearPass, calibration_of, lit_views, local_screen, predicted_accuracies
+from app.evaluation.mask_accuracy import calibration_of, linear_pass, lit_views, local_screen, predicted_accuracies
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.wavefront import mean_rms
 from simulated_devices.optics.phase_screen import PhaseScreen
@@ -56,7 +56,7 @@ def test_linear_pass_predicts_the_error_of_the_simulated_one(small_toml: Path, l
     frame, reference = frames.frame(mask), frames.reference(mask)
     reconstructor = calibration_of(bench, reference, "affine").reconstructor()
     simulated = reconstructor.solve(reconstructor.register(frame.photons))
-    predicted = reconstructor.solve(LinearPass(bench, reconstructor, reference)(frames.sample))
+    predicted = reconstructor.solve(linear_pass(bench, reconstructor, reference)(frames.sample))
     error = mean_rms(simulated.views - frame.truth)
     assert error > 0.01  # what an affine warp cannot describe
     assert mean_rms(predicted.views - simulated.views) < 0.2 * error

@@ -60,10 +60,6 @@ def test_table_1_orders_the_methods_like_the_paper(
     assert_drawn(tmp_path / "table1.png")
     assert re.search(r"correlation_zonal\s+0\.511\s+1\.260\s+0\.830\s+\d", capsys.readouterr().out)
 
-    first = {name: row["seconds"] for name, row in ours.items()}
-    again = table(monkeypatch, tmp_path, "table1", "--overwrite")["ours"]
-    assert {name: row["seconds"] for name, row in again.items()} == first  # from the cache
-
 
 @pytest.mark.slow
 @pytest.mark.long
