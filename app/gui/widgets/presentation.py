@@ -119,6 +119,7 @@ class Presentation:
     summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
     missing: str = "no wavefront"  # shown without maps
+    middle: float = 0.0  # of the values: the limit is that of their distance from it
 
     @property
     def has_unit(self) -> bool:
@@ -132,7 +133,7 @@ class Presentation:
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale of maps (...) needs, in their unit; NaN if all are NaN."""
-        known = np.abs(maps[np.isfinite(maps)])
+        known = np.abs(maps[np.isfinite(maps)] - self.middle)
         if not known.size:
             return float("nan")
         last = math.ceil(self.shown_percent / 100 * (known.size - 1))  # np.percentile takes ten times as long
@@ -213,8 +214,10 @@ PRESENTATIONS = {
     ),
     Quantity.TRANSMISSION: Presentation(
         about="Brightness of the source through the sample over that in the reference",
-        scale=lambda limit, _: linear(0.0, limit),
+        scale=lambda limit, _: ColourScale("CET-D1", 1 - limit, 1 + limit, "", _HALVES),
         family="transmission",
+        finest=0.05,
+        middle=1.0,  # without a sample
         names=("mean", "error"),
         summary=lambda mean, _: f"mean {number(mean)}",
         value=lambda value, _: number(value),

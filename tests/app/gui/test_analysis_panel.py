@@ -17,7 +17,7 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 
 from app.gui.panels.quality import verdict
 from app.gui.shell.main_window import MainWindow
-from app.gui.widgets.presentation import bright, colour_table, diverging, uncertain
+from app.gui.widgets.presentation import PRESENTATIONS, bright, colour_table, diverging, uncertain
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
@@ -163,6 +163,13 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
         qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
     assert window.panels.quality.sentence.text() == "No lenslet is valid over the whole field"
+
+
+def test_scale_of_the_transmission_lies_about_one() -> None:
+    shown = PRESENTATIONS[Quantity.TRANSMISSION]
+    limit = shown.limit(np.array([0.8, 1.0, 1.1, np.nan]))
+    assert limit == pytest.approx(0.2)
+    assert (shown.scale(limit, "").low, shown.scale(limit, "").high) == pytest.approx((0.8, 1.2))
 
 
 def test_method_without_transmission_is_named(make_window: MakeWindow, qtbot: QtBot) -> None:
