@@ -42,6 +42,7 @@ for module, names in {
         if hasattr(module, name):
             delattr(module, name)
 sys.platform = "win32"
+sys.modules["msvcrt"] = type(sys)("msvcrt")  # of Windows
 for name in sys.argv[1:]:
     importlib.import_module(name)
 """
