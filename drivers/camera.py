@@ -41,7 +41,9 @@ class Region:
 
 
 # Settings that the real cameras share.
-PitchSetting: TypeAlias = Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor, if the camera does not report it")]
+PitchSetting: TypeAlias = Annotated[
+    float, Gt(0), Le(1e-3), Doc("Pixel pitch of the sensor, if the camera does not report it")
+]
 ExposureSetting: TypeAlias = Annotated[float, Gt(0), Le(86_400)]
 RegionSetting: TypeAlias = Annotated[Region, Doc("Omitted: the whole sensor")]
 

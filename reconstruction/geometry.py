@@ -39,12 +39,14 @@ def require(conditions: Mapping[str, bool]) -> None:
 class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along y")]
-    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("That are evaluated, along x")]
+    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Number of rows that are evaluated")]
+    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("Number of columns that are evaluated")]
     lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
-    lenslet_focal_length_m: Annotated[float, Ge(1e-5), Le(2), Doc("At the wavelength; the camera lies in that plane")]
-    wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Of the light, in vacuum")]
-    pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Of the camera; binned pixels are larger")]
+    lenslet_focal_length_m: Annotated[
+        float, Ge(1e-5), Le(2), Doc("Focal length of a lenslet at the wavelength; the camera is in its focal plane")
+    ]
+    wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Wavelength of the light in vacuum")]
+    pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Distance of two camera pixels; binned pixels are larger")]
     arrangement: Arrangement = "square"  # bench files have it in [lattice]
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -111,11 +113,11 @@ class Sensor(Checked):
 class Lattice(Checked):
     """Position of the lenslets on the camera; a positive rotation turns +x towards +y."""
 
-    center_x_px: Annotated[float, Ge(-1e5), Le(1e5), Doc("Of the lattice, in the frame")]
+    center_x_px: Annotated[float, Ge(-1e5), Le(1e5), Doc("Centre of the lattice in the frame")]
     center_y_px: Annotated[float, Ge(-1e5), Le(1e5)]
     pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Between two lenslets, as measured")]
     rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
-    arrangement: Annotated[Arrangement, Doc("Of the lenslets")] = "square"
+    arrangement: Annotated[Arrangement, Doc("Arrangement of the lenslets")] = "square"
 
     @property
     def turn(self) -> Floats:
@@ -199,8 +201,10 @@ class Field(Checked):
     A square field has Legendre modes, a circular one Zernike modes; `half_width_m` is half the side, or the radius.
     """
 
-    collimator_focal_length_m: Annotated[float, Ge(1e-3), Le(20), Doc("Of the lens between source and lenslets")]
-    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of the source: half its side, or its radius")]
+    collimator_focal_length_m: Annotated[
+        float, Ge(1e-3), Le(20), Doc("Focal length of the lens between source and lenslets")
+    ]
+    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Half the side of the source, or its radius")]
     shape: Literal["square", "circle"] = "square"
     view_rows: Annotated[int, Ge(1), Le(99)] = STARS
     view_columns: Annotated[int, Ge(1), Le(99)] = STARS

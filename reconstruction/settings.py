@@ -34,14 +34,14 @@ class RegistrationSettings(Checked):
         Annotated[
             Warp,
             Doc(
-                "Of Gauss-Newton: allowed distortion of a subimage; more freedom resolves finer changes over the field."
+                "Gauss-Newton: allowed distortion of a subimage; more freedom resolves finer changes over the field."
                 " Omitted: quartic if layers may be assumed, otherwise that of the least expected error"
             ),
         ]
         | None
     ) = None
-    rotation: Annotated[bool, Doc("Of Gauss-Newton: whether subimages may rotate; layers cannot make them")] = False
-    threads: Annotated[int, Ge(1), Le(64), Doc("Of Gauss-Newton")] = THREADS
+    rotation: Annotated[bool, Doc("Gauss-Newton: subimages may rotate; layers cannot make them")] = False
+    threads: Annotated[int, Ge(1), Le(64), Doc("Gauss-Newton: number of threads")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS

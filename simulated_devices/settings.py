@@ -43,7 +43,7 @@ class Screen(Checked):
         float, Ge(-100), Le(100), Doc("Before the lenslets (negative: behind), or after the mask")
     ] = 0.195
     transmission_rms: Annotated[
-        float, Ge(0), Le(10), Doc("Of the intensity that passes, if its mean is 1; log-normal")
+        float, Ge(0), Le(10), Doc("RMS of the intensity that passes, if its mean is 1; log-normal")
     ] = 0.0
     transmission_correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the smoothing")] = 0.5e-3
     transmission_file: Annotated[
@@ -70,10 +70,10 @@ class Source(Checked):
     """Masks in front of the light: openings, an array of pinholes (the stars) and grey transparencies."""
 
     mask: Annotated[Mask, Doc("The initial one")] = "square"
-    half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Of square, circle, octagon; along x, of the ellipse")] = (
-        0.6e-3
-    )
-    checker_cells: Annotated[int, Ge(2), Le(100), Doc("Of the checkerboard that fills the square, along each side")] = 6
+    half_width_m: Annotated[
+        float, Ge(1e-6), Le(0.1), Doc("Half width of square, circle and octagon; of the ellipse along x")
+    ] = 0.6e-3
+    checker_cells: Annotated[int, Ge(2), Le(100), Doc("Cells of the checkerboard along each side of the square")] = 6
     ellipse_ratio: Annotated[float, Gt(0), Le(1), Doc("The ellipse's width along y over that along x")] = 0.6
     file: Annotated[str, Doc('A grey image (TIFF, NPY, PNG) that fills the square: the mask "image"')] = ""
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
@@ -126,16 +126,18 @@ class SimulatedCameraSettings(Checked):
     columns: Annotated[int, Ge(8), Le(8192)] = 512
     exposure_s: Annotated[float, Ge(0.0139), Le(7200), Doc("The range depends on amplifier and speed")] = 1 / 70
     amplifier: Amplifier = "em"
-    readout_speed: Annotated[int, Ge(1), Le(3), Doc("Of the EM amplifier; the normal one has speed 1 only")] = 3
+    readout_speed: Annotated[int, Ge(1), Le(3), Doc("Speed of the EM amplifier; the normal one has speed 1 only")] = 3
     em_gain: Annotated[float, Ge(1), Le(1e5)] = 1.0
     maximum_em_gain: Annotated[float, Ge(1), Le(1e5)] = 1200.0
-    quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("At 462 nm")] = 0.8
+    quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("Quantum efficiency at 462 nm")] = 0.8
     dark_current_e_per_s: Annotated[float, Ge(0), Le(1e6)] = 0.005
     clock_induced_charge_e: Annotated[float, Ge(0), Le(1e3), Doc("Per pixel and frame")] = 0.0015
-    em_read_noise_e: Annotated[tuple[_Noise, _Noise, _Noise], Doc("At speed 1, 2, 3")] = (8.0, 25.0, 37.0)
+    em_read_noise_e: Annotated[
+        tuple[_Noise, _Noise, _Noise], Doc("Read noise of the EM amplifier at speed 1, 2, 3")
+    ] = (8.0, 25.0, 37.0)
     normal_read_noise_e: Annotated[float, Ge(0), Le(1e5)] = 10.0
     full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
-    register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Of the multiplication register")] = 800e3
+    register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Full well of the multiplication register")] = 800e3
     electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
     nonlinearity: Annotated[float, Ge(-0.5), Le(0.5), Doc("Share that is lost of a signal at full scale")] = 0.0
     offset_counts: Annotated[float, Ge(0), Le(65535)] = 500.0

@@ -43,7 +43,14 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--out", type=Path, default=Path("study"), help="folder of NAME.csv and NAME.png [study]")
     parser.add_argument("--bench", default=PAPER, help=f"bench file or preset [{PAPER}]")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="change a setting of the bench")
-    parser.add_argument("--seeds", type=int, default=3, help="number of screens, from the bench's seed on [3]")
+    parser.add_argument(
+        "--seeds",
+        type=int,
+        default=3,
+        choices=range(1, 1001),
+        metavar="N",
+        help="number of screens, from the bench's seed on [3]",
+    )
     parser.add_argument("--frames", type=Path, help="of calibration: folder of bench.toml and *_reference.tif")
     given = parser.parse_args(words)
     try:

@@ -102,7 +102,8 @@ def _fault(error: "ErrorDetails", path: str, node: Schema) -> SettingError:
         return SettingError(path, "is nested too deeply")
     wrong = above if kind == "missing" else node  # a list lacks elements
     length = f" of {wrong['minItems']}" if "minItems" in wrong else ""
-    without = " without null characters" if error["input"] == _NULL_CHARACTER else ""
+    is_text = wrong["type"] == "string"
+    without = " without null characters" if is_text and error["input"] == _NULL_CHARACTER else ""
     return SettingError(path, f"must be {_TYPES[wrong['type']]}{length}{without}")
 
 

@@ -17,7 +17,10 @@ if TYPE_CHECKING:
 def replay(
     recording: options.RecordingFolder,
     *,
-    verify: Annotated[bool, typer.Option("--verify", help="Fail if a frame differs from what was recorded.")] = False,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Fail if a frame differs from what was recorded by over a thousandth of sigma."),
+    ] = False,
     bench: Annotated[str | None, options.bench_option("Another bench to compare with the recorded one.")] = None,
     setting: options.Set = None,
     frames: options.Frames = None,

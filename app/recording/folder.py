@@ -59,7 +59,7 @@ def recorded_frames(run: dict[str, Any]) -> int | None:
     """Return the number of frames according to `run.json`; None if it does not tell."""
     counts = run.get("frames")
     recorded = counts.get("recorded") if isinstance(counts, dict) else None
-    return recorded if isinstance(recorded, int) else None
+    return recorded if isinstance(recorded, int) and recorded >= 0 else None
 
 
 def parts_of(folder: Path) -> list[Path]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zlib
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -16,6 +17,7 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
+_LATEST_S = 1e12  # of a sound line
 UNREADABLE = b"{}\n"  # replaces a line that cannot be read, so that the others keep their places
 
 
@@ -25,6 +27,12 @@ class SampleLine:
 
     ratios: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...] | None
+
+    def __post_init__(self) -> None:
+        layers, rows = len(self.ratios), self.covariance or ()
+        is_square = self.covariance is None or [len(row) for row in rows] == [layers] * layers
+        if not is_square or not all(map(math.isfinite, (*self.ratios, *(value for row in rows for value in row)))):
+            raise ValueError(f"layers at the ratios {', '.join(map(str, self.ratios))} are impossible")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +66,11 @@ class FrameLine:
     @classmethod
     def from_json(cls, line: str | bytes) -> FrameLine:
         """Read a line; `ValueError` if it is damaged."""
-        return _reader().validate_json(line)
+        found = _reader().validate_json(line)
+        times_s = found.camera_time_s, found.host_time_s, found.exposure_s, found.bias_age_s or 0.0
+        if min(found.exposure_s, found.em_gain) < 0 or not all(abs(each) < _LATEST_S for each in times_s):  # nor NaN
+            raise ValueError("exposure, gain or times are impossible")
+        return found
 
 
 def checksum(pixels: NDArray[np.uint16]) -> str:

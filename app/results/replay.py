@@ -41,7 +41,7 @@ class Verification:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._first = ""  # difference beyond the tolerance
-        self._largest = 0.0, -1  # sigma, and the frame
+        self._largest = {True: (0.0, -1), False: (0.0, -1)}  # sigma, and the frame; by whether its start is recorded
         self.frames = 0  # frames that were reconstructed, or refused, live
         self._skipped = 0
         self.different = 0
@@ -49,7 +49,7 @@ class Verification:
     @property
     def largest_sigma(self) -> float:
         """Largest difference of a displacement, a coefficient or an RMS, sigma."""
-        return self._largest[0]
+        return max(self._largest.values())[0]
 
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
@@ -59,8 +59,9 @@ class Verification:
             return
         self.frames += 1
         problem, apart_sigma = _difference(self._recording, line, frame)
-        self._largest = max(self._largest, (apart_sigma, frame.index), key=itemgetter(0))
-        limit_sigma = TOLERANCE_SIGMA if self._recording.start(frame.index) is not None else START_TOLERANCE_SIGMA
+        has_start = self._recording.start(frame.index) is not None
+        self._largest[has_start] = max(self._largest[has_start], (apart_sigma, frame.index), key=itemgetter(0))
+        limit_sigma = TOLERANCE_SIGMA if has_start else START_TOLERANCE_SIGMA
         if problem or apart_sigma > limit_sigma:
             self.different += 1
             self._first = self._first or f"frame {frame.index}: {problem or f'by {apart_sigma:.2g} sigma'}"
@@ -75,10 +76,12 @@ class Verification:
         """The result in words."""
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
-        apart_sigma, index = self._largest
+        (apart_sigma, index), (first_sigma, first) = self._largest[True], self._largest[False]
         largest = (
             f"the largest difference is {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
         )
+        if first_sigma:
+            largest += f", besides {first_sigma:.2g} sigma in frame {first}, whose start was not recorded"
         if not self.different:
             skipped = f"; {self._skipped} more were not reconstructed then" if self._skipped else ""
             return f"{counted(self.frames)} as recorded: {largest}{skipped}"
@@ -110,13 +113,13 @@ def _difference(recording: Recording, line: FrameLine, frame: Measurement) -> tu
     largest_sigma = 0.0
     for what, (then, now, sigma) in compared.items():
         if then is None:
-            return f"{what} were not recorded", largest_sigma
+            return f"{what} are damaged or missing in the recording", largest_sigma
         if then.shape != now.shape or not np.array_equal(np.isnan(then), np.isnan(now)):
             return f"{what} of other lenslets or modes are known", largest_sigma
         apart = np.abs(then - now)
-        of_each = np.broadcast_to(sigma, apart.shape)[apart > 0]  # most are equal, and the piston has none
-        apart_sigma = apart[apart > 0] / np.maximum(of_each, _LEAST_SIGMA * np.max(of_each, initial=0))
-        largest_sigma = max(largest_sigma, float(np.max(np.nan_to_num(apart_sigma, nan=np.inf), initial=0)))
+        least = _LEAST_SIGMA * np.max(sigma, initial=0, where=np.isfinite(sigma))  # the piston has none
+        apart_sigma = apart / np.maximum(np.broadcast_to(sigma, apart.shape), least)
+        largest_sigma = max(largest_sigma, float(np.max(apart_sigma, initial=0, where=apart > 0)))
     return "", largest_sigma
 
 

@@ -37,7 +37,9 @@ class DcamSettings:
     trigger_polarity: Literal["negative", "positive"] | None = None
     trigger_delay_s: Annotated[float, Ge(0), Le(86_400)] | None = None
     output: (
-        Annotated[Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Of the first connector")]
+        Annotated[
+            Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Output of the first connector")
+        ]
         | None
     ) = None
     output_polarity: Literal["negative", "positive"] | None = None

@@ -22,7 +22,9 @@ class GenicamSettings:
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
         None
     )
-    byte_order: Annotated[Literal["", "little", "big"], Doc("Of 16-bit pixels; empty takes that of the model")] = ""
+    byte_order: Annotated[
+        Literal["", "little", "big"], Doc("Byte order of 16-bit pixels; empty: as the model needs")
+    ] = ""
     exposure_s: ExposureSetting | None = None
     gain: (
         Annotated[

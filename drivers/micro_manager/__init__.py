@@ -23,7 +23,9 @@ class MicroManagerSettings:
     device: Annotated[str, MinLen(1), Doc('Name of the camera in the adapter, for example "Andor sCMOS Camera"')]
     adapter_folder: Annotated[str, Doc("Where Micro-Manager is installed")] = ""
     properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
-    pixel_pitch_m: Annotated[float, Gt(0), Le(1e-3), Doc("Of the sensor; Micro-Manager does not know it")] | None = None
+    pixel_pitch_m: (
+        Annotated[float, Gt(0), Le(1e-3), Doc("Pixel pitch of the sensor; Micro-Manager does not know it")] | None
+    ) = None
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
     exposure_s: ExposureSetting | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1

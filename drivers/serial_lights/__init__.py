@@ -16,7 +16,7 @@ class SerialLightSettings:
 
     driver: str
     port: Annotated[str, Doc("Such as /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
-    serial_number: Annotated[str, Doc("Of its USB adapter, instead of the port")] = ""
+    serial_number: Annotated[str, Doc("Serial number of the USB adapter, instead of the port")] = ""
     current_a: Annotated[float, Ge(0), Le(100), KEPT_CURRENT] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:

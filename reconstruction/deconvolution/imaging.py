@@ -23,14 +23,18 @@ class Imaging(Checked):
     """
 
     pixel_m: Annotated[float, Ge(1e-10), Le(1e-2), Doc("Size of a pixel in the field")]
-    center_x_px: Annotated[float, Doc("Of the field's middle; omitted: the middle of the image")] | None = None
+    center_x_px: Annotated[float, Doc("Middle of the field in the image; omitted: the middle of the image")] | None = (
+        None
+    )
     center_y_px: float | None = None
     rotation_rad: Annotated[float, Ge(-4), Le(4)] = 0.0
     is_mirrored: bool = False
     pupil_diameter_m: Annotated[float, Ge(1e-6), Le(100), Doc("If round; omitted: the lattice")] | None = None
-    numerical_aperture: Annotated[float, Ge(1e-6), Le(2), Doc("In place of the diameter")] | None = None
+    numerical_aperture: (
+        Annotated[float, Ge(1e-6), Le(2), Doc("Numerical aperture, in place of the diameter")] | None
+    ) = None
     wavelength_m: Annotated[float, Ge(1e-8), Le(1e-3), Doc("Omitted: the sensor's")] | None = None
-    dark_counts: Annotated[float, Doc("Of a pixel without light")] = 0.0
+    dark_counts: Annotated[float, Doc("Counts of a pixel without light")] = 0.0
     counts_per_electron: Annotated[float, Ge(1e-6), Le(1e6), Doc("Omitted: estimated")] | None = None
     read_noise_counts: Annotated[float, Ge(0)] = 0.0
 

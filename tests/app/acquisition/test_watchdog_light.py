@@ -86,7 +86,7 @@ def test_calls_renew_the_promise(light: LightSource, lamp: DC4100Wire) -> None:
 
 
 @pytest.mark.parametrize("start", ["import time; time.sleep(2)", "print('a library says hello')"])
-def test_guardian_may_start_slowly_and_say_what_is_no_answer(
+def test_watchdog_may_start_slowly_and_say_what_is_no_answer(
     reopen: Callable[[], LightSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, start: str
 ) -> None:
     """It counts as frozen 1.25 s after its first sign of life, not after its start."""
@@ -96,7 +96,7 @@ def test_guardian_may_start_slowly_and_say_what_is_no_answer(
         assert "DC4100" in light.name
 
 
-def test_guardian_ends_if_its_pipe_closes_while_it_asks_for_its_parent(
+def test_watchdog_ends_if_its_pipe_closes_while_it_asks_for_its_parent(
     lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As on Windows, where the number of the parent stays after its death."""
@@ -136,7 +136,7 @@ def test_light_that_cannot_be_opened_leaves_no_process(lamp_port: PtyServer) -> 
     assert children(os.getpid()) == before
 
 
-def test_dead_guardian_whose_light_is_gone_says_that_it_may_be_on(lamp_port: PtyServer) -> None:
+def test_dead_watchdog_whose_light_is_gone_says_that_it_may_be_on(lamp_port: PtyServer) -> None:
     before = children(os.getpid())
     light = WatchdogLight(DC4100Settings(port=lamp_port.port))
     light.set_on(True)
@@ -163,7 +163,7 @@ def test_light_whose_call_hangs_is_taken_back(
 
 
 @pytest.mark.slow
-def test_guardian_whose_call_hangs_ends_if_the_instrument_was_killed(
+def test_watchdog_whose_call_hangs_ends_if_the_instrument_was_killed(
     lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     os.mkfifo(nobody_writes := tmp_path / "nobody_writes")
@@ -222,7 +222,7 @@ def replace_method(name: str, expression: str, folder: Path, monkeypatch: pytest
     monkeypatch.syspath_prepend(folder)
 
 
-def test_death_of_a_guardian_whose_pipe_stays_open_is_noticed(
+def test_death_of_a_watchdog_whose_pipe_stays_open_is_noticed(
     reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process that a vendor's library has forked holds it."""
@@ -244,7 +244,7 @@ def test_death_of_a_guardian_whose_pipe_stays_open_is_noticed(
         os.kill(forked, signal.SIGKILL)
 
 
-def test_light_that_is_closed_as_its_guardian_dies_is_known_to_be_off(
+def test_light_that_is_closed_as_its_watchdog_dies_is_known_to_be_off(
     lamp_port: PtyServer, lamp: DC4100Wire, capfd: pytest.CaptureFixture[str]
 ) -> None:
     light = WatchdogLight(DC4100Settings(port=lamp_port.port))
@@ -302,7 +302,7 @@ def test_process_is_alive_frozen_or_gone() -> None:
         wait_until(lambda: has("gone"))
 
 
-def test_instrument_knows_the_guardian_of_its_light(light: WatchdogLight) -> None:
+def test_instrument_knows_the_watchdog_of_its_light(light: WatchdogLight) -> None:
     camera = FakeCamera()
     instrument = Instrument(Devices(camera, light, camera.stage), BENCH)
     (watchdog,) = instrument.processes()

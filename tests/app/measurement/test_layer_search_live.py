@@ -112,7 +112,7 @@ def apart(monkeypatch: pytest.MonkeyPatch) -> list[BackgroundEstimatorProcess]:
 
 
 @pytest.mark.slow
-def test_process_finds_what_a_finder_in_this_process_finds(
+def test_process_finds_what_is_found_in_this_process(
     paper_bench: SmallBench, layered: Reconstructor, apart: list[BackgroundEstimatorProcess]
 ) -> None:
     estimator = estimator_with(layered, bench_of(paper_bench), paper_bench.reference)

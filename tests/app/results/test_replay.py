@@ -161,7 +161,7 @@ def test_changed_pixels_are_detected(
     assert run(monkeypatch, "replay", mine.folder, "--verify") == 1
     said = capsys.readouterr().err
     assert re.search(r"1 of 8 frames differ from what was recorded; frame 3: by \S+ sigma; the largest", said)
-    assert re.search(r"the largest difference is \S+ sigma, in frame 3 \(both by svwfs", said)
+    assert re.search(r"the largest difference is \S+ sigma, in frame 3.* \(both by svwfs", said)
     assert run(monkeypatch, "replay", mine.folder) == 0  # without --verify it is only reported
     assert "warning: 1 of 8 frames differ" in capsys.readouterr().out
 
@@ -189,6 +189,22 @@ def test_tolerance_is_a_thousandth_of_sigma(mine: Recording, name: str, part: fl
     assert verification.different == is_different
 
 
+def test_number_that_the_solution_fixes_is_compared_with_the_largest_sigma(mine: Recording) -> None:
+    values = np.array(mine.coefficients(5))
+    values[0, 0] += 1e-12  # the piston, whose sigma is 0
+    FrameArray(mine.folder / STORE / "results" / "0" / "coefficients").write(5, values)
+    verification = replayed(mine.folder, must_match=True, frames="5:6").verification
+    assert verification is not None
+    assert verification.largest_sigma < TOLERANCE_SIGMA
+
+
+def test_first_frame_is_told_apart(mine: Recording) -> None:
+    edit_line(mine, 0, rms_rad=(mine.line(0).rms_rad or 0.0) + 1e-4)
+    verification = replayed(mine.folder, must_match=True).verification
+    assert verification is not None
+    assert re.search(r"besides \S+ sigma in frame 0, whose start was not recorded", verification.sentence)
+
+
 def test_other_software_version_is_named(mine: Recording) -> None:
     path = mine.folder / "run.json"
     fields = json.loads(path.read_text())
@@ -200,10 +216,10 @@ def test_other_software_version_is_named(mine: Recording) -> None:
 
 
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
-    "a result is missing": (lambda mine: remove_coefficients(mine, 6), "frame 6: coefficients were not recorded"),
+    "a result is missing": (lambda mine: remove_coefficients(mine, 6), "frame 6: coefficients are damaged or missing"),
     "a result is cut short": (
         lambda mine: (mine.folder / "frames.zarr/results/0/displacement/c.7.0.0.0.0").write_bytes(b"half"),
-        "frame 7: displacements were not recorded",
+        "frame 7: displacements are damaged or missing",
     ),
     "a problem is invented": (
         lambda mine: edit_line(mine, 2, problem="too dark"),

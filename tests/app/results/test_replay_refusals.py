@@ -70,6 +70,11 @@ FAULTS: dict[str, tuple[Callable[[Recording], object], str]] = {
     "half a frame": (_truncate, "is damaged"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
     "a bias of other lenslets": (_misshape_bias, "bias 0 has other lenslets"),
+    "a sample whose covariance has another size": (
+        lambda mine: edit_line(mine, 1, sample={"ratios": [-0.97, 0.3], "covariance": [[1e-6]]}),
+        "line 2 is damaged",
+    ),
+    "a negative exposure": (lambda mine: edit_line(mine, 1, exposure_s=-5.0), "line 2 is damaged"),
     "a bias that is not there": (lambda mine: edit_line(mine, 1, bias=7), "7.npy: no such file"),
 }
 
