@@ -41,7 +41,7 @@ SOON = $(if $(ROOM)$(ONLY),SVWFS_HANG_S=20)
 check: lint setup c-compiler ## lint and the quick tests of numerics, devices and settings, one to two minutes
 	$(PYTEST) -q -m 'not slow' $(QUICK)
 
-test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, seven minutes; ROOM=app/gui, ONLY=WORDS for some
+test: setup c-compiler $(NUMBA_CACHE_DIR) ## the quick tests, four minutes; ROOM=app/gui, ONLY=WORDS for some
 	$(SOON) $(PYTEST) -m 'not slow' $(CHOSEN)
 
 test-slow: setup c-compiler $(NUMBA_CACHE_DIR) ## the tests that take one to four seconds, eight minutes; ROOM, ONLY as above

@@ -14,6 +14,7 @@ from support.patience import HANG_S
 SVWFS = Path(sys.executable).with_name("svwfs")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("bash") is None or not SVWFS.exists(), reason="needs bash and an installed svwfs")
 @pytest.mark.parametrize(
     ("typed", "completed"),

@@ -127,6 +127,7 @@ def test_output_that_cannot_be_meant_is_refused(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 def test_folder_may_end_with_a_slash_and_settings_may_be_repeated(
     monkeypatch: pytest.MonkeyPatch, folder: Path
 ) -> None:
@@ -159,6 +160,7 @@ def test_existing_file_needs_overwrite(
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 def test_overwrite_replaces_results(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     assert run(monkeypatch, "simulate", "--bench", "bench.toml", "--out", ".", "--overwrite") == 0
     assert run(monkeypatch, *RECONSTRUCT.split(), "old", "--overwrite") == 0

@@ -45,6 +45,7 @@ def test_free_and_layered_frames_can_be_stacked(wavefronts: dict[str, Wavefront]
     assert stacked["coefficients"].sizes == {"frame": 2, **layered["coefficients"].sizes}
 
 
+@pytest.mark.slow
 def test_more_modes_leave_the_wavefront_as_it_is(wavefronts: dict[str, Wavefront]) -> None:
     free, alone = wavefronts["free"], wavefronts["alone"]
     assert isinstance(free.solution, ModalSolution)

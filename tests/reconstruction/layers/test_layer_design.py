@@ -43,6 +43,7 @@ def field_points(field: Field) -> tuple[Floats, Floats]:
     return np.stack([x, y], axis=-1), np.repeat(weights, 16)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", [-0.975, 0.6])
 @pytest.mark.parametrize("arrangement", ["square", "hexagonal"])
 @pytest.mark.parametrize("shape", ["square", "circle"])
