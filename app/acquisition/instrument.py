@@ -102,12 +102,9 @@ class Status:
     @property
     def bench_in_force(self) -> Bench:
         """The bench with the current lattice, exposure, gain and light current."""
-        camera = {
-            "exposure_s": self.exposure_s,
-            "amplifier": self.amplifier,
-            "readout_speed": self.readout_speed,
-            "em_gain": self.em_gain,
-        }
+        camera: dict[str, object] = {"exposure_s": self.exposure_s, "em_gain": self.em_gain}
+        if not self.is_replay:  # of which only the recorded bench knows the mode
+            camera |= {"amplifier": self.amplifier, "readout_speed": self.readout_speed}
         return replace(
             self.bench,
             lattice=self.lattice,
