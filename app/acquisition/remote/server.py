@@ -13,7 +13,6 @@ from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import partial
-from threading import Lock
 from typing import Any
 
 import zmq
@@ -29,20 +28,18 @@ from app.acquisition.remote.messages import (
     Heartbeat,
     Hello,
     NewFrame,
-    RingRecord,
     SharedObjects,
     State,
     held_off,
     portable_error,
     watching,
 )
-from app.acquisition.remote.ring import RingWriter
+from app.acquisition.remote.publisher import FramePublisher
 from app.acquisition.remote.serialization import Encoded, unpacked
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
-from app.measurement.measurement import Measurement
 from app.recording.recorder import NO_LIMIT, RecordingLimit
 from app.timing import StageTimes, TimedStage
 from drivers.errors import BadValue, WrongState
@@ -56,7 +53,6 @@ _SILENT_S = 5.0  # after which a client counts as gone
 _STOPPED_S = 0.5  # between two turns, after which this process counts as stopped in between
 _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
-_SPARE = 1.5  # a slot's size over that of the first record which needs it
 
 _REQUESTS: dict[str, Callable[..., Any]] = {  # that clients may send
     each.__name__: each
@@ -93,20 +89,15 @@ class Server:
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
     ) -> None:
         """Open the socket of the address; `RunError` if that fails."""
+        self._wakeup, self._shared_objects = WakeupPipe(), SharedObjects()
+        self._frames = FramePublisher(file_of(address.name, "ring"), self._shared_objects, self._wakeup.notify)
         self.acquisition = Acquisition(
             bench,
             open_devices,
-            sinks=(partial(self._publish, is_shown_only=False),),
-            on_show=partial(self._publish, is_shown_only=True),
+            sinks=(self._frames.take,),
+            on_show=self._frames.show,
             hear_requests=self._hear_requests,
         )
-        self._published = 0  # number of measurements
-        self._unwritten: deque[tuple[int, Measurement, bool]] = deque(maxlen=1)  # number; whether it is shown only
-        self._pause_s, self._written_s = math.inf, -math.inf
-        self._ring_file = file_of(address.name, "ring")
-        self._ring: RingWriter | None = None
-        self._older_rings: deque[RingWriter] = deque()
-        self._writing, self._shared_objects = Lock(), SharedObjects()
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
@@ -114,10 +105,9 @@ class Server:
         self._sent_s, self._timings_s = -math.inf, -math.inf
         self._heard_s = math.inf  # when messages were heard last
         self._timings: dict[TimedStage, StageTimes] = {}
-        self._announced_frame = self._new_frame()
+        self._announced_frame = self._frames.newest
         self._is_over = False
         self._fault: Exception | None = None  # of this end
-        self._wakeup = WakeupPipe()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.SNDHWM, 0)  # no answer is dropped; news are bounded by `_BEHIND_S`
@@ -141,7 +131,7 @@ class Server:
             poller.register(each, zmq.POLLIN)
         end_clients = partial(self._tell_state, is_over=True)
         with ExitStack() as at_end:  # each step runs, whatever becomes of the others
-            for step in (self._close_rings, self._wakeup.close, self._context.destroy, end_clients, self._turn):
+            for step in (self._frames.close, self._wakeup.close, self._context.destroy, end_clients, self._turn):
                 at_end.callback(step)
             at_end.callback(self.acquisition.close)
             at_end.callback(end_clients)  # the light is off or going off: clients need not wait for the rest
@@ -160,45 +150,9 @@ class Server:
         if self.acquisition.error is not None:
             raise self.acquisition.error
 
-    def _close_rings(self) -> None:
-        for ring in (*self._older_rings, *([self._ring] if self._ring else [])):
-            ring.close()
-
     def end(self) -> None:
         """Let `run` end, from any thread."""
         self._is_over = True
-        self._wakeup.notify()
-
-    def _publish(self, measurement: Measurement, *, is_shown_only: bool) -> None:
-        """Write a measurement into the ring, unless a newer one follows at once; called by the worker."""
-        if not measurement.is_skipped:
-            self._published += 1
-            self._unwritten.append((self._published, measurement, is_shown_only))
-            self._write_if_due()
-
-    def _write_if_due(self) -> None:
-        """Write twice as often as a client reads, so that it reads what is new: each frame takes milliseconds."""
-        if time.monotonic() >= self._written_s + self._pause_s / 2:
-            self._write()
-
-    def _write(self) -> None:
-        """Write the newest measurement into the ring, if that has not been done."""
-        with self._writing:
-            try:
-                number, measurement, is_shown_only = self._unwritten.pop()
-            except IndexError:
-                return
-            lean = replace(measurement, wavefront=None)
-            record = RingRecord(lean, is_shown_only)
-            encoded = Encoded(record, self._shared_objects.number)
-            if self._ring is None or not self._ring.has_room_for(encoded):
-                if self._ring is not None:
-                    self._older_rings.append(self._ring)  # the newest: a reader may be about to open it
-                    while len(self._older_rings) > 1:
-                        self._older_rings.popleft().close()
-                self._ring = RingWriter(int(_SPARE * encoded.nbytes), self._ring_file, count=number - 1)
-            self._ring.write(encoded, number)
-            self._written_s = time.monotonic()
         self._wakeup.notify()
 
     def _turn(self) -> None:
@@ -212,10 +166,10 @@ class Server:
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
-        self._write_if_due()
+        self._frames.write_if_due()
         while self._done:
             self._answer(*self._done.popleft())
-        if (new_frame := self._new_frame()) != self._announced_frame:
+        if (new_frame := self._frames.newest) != self._announced_frame:
             self._announced_frame = new_frame
             self._tell_all(new_frame)
         if now_s > self._sent_s + _STATE_S:
@@ -248,10 +202,10 @@ class Server:
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         if isinstance(message, Hello):
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
-            self._pause_s = min(self._pause_s, message.pause_s)
+            self._frames.pause_s = min(self._frames.pause_s, message.pause_s)
             if message.takes_control and not self._controller:
                 self._controller = identity
-            self._write()
+            self._frames.write()
             self._tell_news(identity)
         elif isinstance(message, Command) and message.request == "switch_light_off":
             self._execute(identity, message)  # also of a client that was forgotten
@@ -269,7 +223,7 @@ class Server:
 
     def _forget(self, identity: bytes) -> None:
         del self._clients[identity]
-        self._pause_s = min((client.pause_s for client in self._clients.values()), default=math.inf)
+        self._frames.pause_s = min((client.pause_s for client in self._clients.values()), default=math.inf)
         if self._controller == identity:
             self._controller = b""
 
@@ -327,8 +281,8 @@ class Server:
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         failure = future.exception()
         result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
-        self._write()  # what was measured before the command was done
-        count = 0 if self._ring is None else self._ring.count
+        self._frames.write()  # what was measured before the command was done
+        count = self._frames.newest.count
         self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
         client = self._clients.get(identity)
         if client is None or client.is_behind:  # it gets no news
@@ -378,11 +332,8 @@ class Server:
 
     def _tell_news(self, identity: bytes) -> None:
         """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
-        self._tell(identity, self._new_frame())
+        self._tell(identity, self._frames.newest)
         self._tell(identity, self._present())
-
-    def _new_frame(self) -> NewFrame:
-        return NewFrame("", 0) if (ring := self._ring) is None else NewFrame(ring.name, ring.count)
 
     def _tell(self, identity: bytes, message: object) -> None:
         """Send a message; only states and notices refer to objects that travel by themselves."""

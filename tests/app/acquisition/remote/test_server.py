@@ -71,7 +71,7 @@ def send_notices(server: Server, count: int) -> None:
     frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
     for _ in range(count):
         before = server._announced_frame
-        server._publish(frame, is_shown_only=True)
+        server._frames.show(frame)
         while server._announced_frame == before:
             time.sleep(0.0005)
 
@@ -107,7 +107,6 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
         assert not list(read_all(socket))
         say(socket, server, Heartbeat.ALIVE)
         told = [each.count for each in read_all(socket) if isinstance(each, NewFrame)]
-    assert server._ring is not None
     assert told
     assert told[0] > 20
 
@@ -123,7 +122,7 @@ def test_objects_are_sent_once_to_each_client(server: Server) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
-@pytest.mark.parametrize("where", ["_publish", "_answer"])
+@pytest.mark.parametrize("where", ["publish", "_answer"])
 def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
     fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
@@ -134,8 +133,8 @@ def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
 
     with served(fake_camera, faults=faults) as server, connected() as connection:
         newest(connection)
-        if where == "_publish":
-            monkeypatch.setattr(server, "_write", fail)
+        if where == "publish":
+            monkeypatch.setattr(server._frames, "write", fail)
         else:
             monkeypatch.setattr(server, "_answer", fail)
             connection.take_control()
