@@ -127,7 +127,8 @@ def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
         monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
         time.sleep(0.6)
         lighting, darkening = first.submit(Instrument.set, "is_light_on", True), second.switch_light_off()
-        time.sleep(0.2)
+        wait_until(lambda: not first._pending_commands._waiting and not second._pending_commands._waiting)
+        time.sleep(0.5)  # both have left their clients: until they arrive
         goes_on.set()
         with pytest.raises(WrongState, match="switched off meanwhile"):
             lighting.result(HANG_S)
