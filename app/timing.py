@@ -1,4 +1,4 @@
-"""Stage times and result latency of the live path, always measured.
+"""Stage times and result latency of the live path, always measured, with the cause of the longest.
 
 Each stage keeps its last few thousand times in a ring buffer written by the thread that runs the stage: 1 us per
 entry. Readers may miss the newest entry but never see a wrong one.
@@ -6,11 +6,15 @@ entry. Readers may miss the newest entry but never see a wrong one.
 
 from __future__ import annotations
 
+import gc
 import math
+import sys
 import time
+from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -21,6 +25,7 @@ TimedStage = Literal[
     "register",  # displacements from the pixels
     "reconstruct",  # wavefront from the displacements
     "publish",  # to the recorder and other consumers
+    "command",  # between two frames
     "record",  # a frame written to disk, in another thread
     "draw",  # window redraw, painting included
     "to_result",  # from the end of a frame's exposure to its result
@@ -28,6 +33,9 @@ TimedStage = Literal[
 ]
 STAGES: tuple[TimedStage, ...] = get_args(TimedStage)
 KEPT = 4096  # times per stage; a minute at the highest frame rate
+_LONG_S = 0.005  # what takes longer may be the cause of a pause
+_CAUSES = 2  # named, the longest first
+_SPANS: tuple[TimedStage, ...] = ("wait", "to_result", "to_screen")  # waiting, or the sum of other stages: no causes
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +46,56 @@ class StageTimes:
     p50_s: float = math.nan  # of the kept times
     p99_s: float = math.nan  # of the kept times
     max_s: float = math.nan  # since the start
+    cause: str = ""  # what else ran in this process during the longest; empty if nothing that is known
+
+
+_long_work: deque[tuple[float, float, str]] = deque(maxlen=256)  # begin, end and name; threads share Python's lock
+
+
+def _note_work(begin_s: float, end_s: float, name: str) -> None:
+    if end_s > begin_s + _LONG_S:
+        _long_work.append((begin_s, end_s, name))
+
+
+def _cause(begin_s: float, end_s: float, stage: TimedStage) -> str:
+    """Name what ran longest in an interval besides the stage itself."""
+    overlaps = Counter[str]()
+    for other_s, until_s, name in tuple(_long_work):
+        overlaps[name] += round(1e3 * max(min(until_s, end_s) - max(other_s, begin_s), 0.0))
+    del overlaps[stage]
+    return ", ".join(f"{name} {ms} ms" for name, ms in overlaps.most_common(_CAUSES) if ms)
+
+
+@cache
+def _watch_garbage_collection() -> None:
+    """Note long garbage collections from now on."""
+    begin_s = 0.0
+
+    def note(phase: str, _: dict[str, int]) -> None:
+        nonlocal begin_s
+        if phase == "start":
+            begin_s = time.perf_counter()
+        else:
+            _note_work(begin_s, time.perf_counter(), "garbage collection")
+
+    gc.callbacks.append(note)
+
+
+class _Imports:
+    """Notes imports that happen between two times of any stage."""
+
+    def __init__(self) -> None:
+        self._modules, self._looked_s = len(sys.modules), math.inf
+
+    def look(self, now_s: float) -> None:
+        before, begin_s = self._modules, self._looked_s
+        self._modules, self._looked_s = len(sys.modules), now_s
+        if self._modules > before:
+            first = list(sys.modules)[before].partition(".")[0]
+            _note_work(begin_s, now_s, f"import of {first} ({self._modules - before} modules)")
+
+
+_imports = _Imports()
 
 
 class _Ring:
@@ -45,19 +103,21 @@ class _Ring:
 
     def __init__(self, kept: int) -> None:
         self._times_s = np.zeros(kept)
-        self._count, self._max_s = 0, -math.inf
+        self._count, self._max_s, self._cause = 0, -math.inf, ""
 
-    def note(self, seconds: float) -> None:
+    def note(self, seconds: float, stage: TimedStage) -> None:
         self._times_s[self._count % len(self._times_s)] = seconds
         self._count += 1
-        self._max_s = max(self._max_s, seconds)
+        if seconds > self._max_s:
+            now_s = time.perf_counter()
+            self._max_s, self._cause = seconds, _cause(now_s - seconds, now_s, stage)
 
     def summary(self) -> StageTimes:
         count = self._count
         if not count:
             return StageTimes()
         p50_s, p99_s = np.percentile(self._times_s[:count], (50, 99))
-        return StageTimes(count, float(p50_s), float(p99_s), self._max_s)
+        return StageTimes(count, float(p50_s), float(p99_s), self._max_s, self._cause)
 
 
 class Timings:
@@ -65,10 +125,15 @@ class Timings:
 
     def __init__(self, kept: int = KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
+        _watch_garbage_collection()
 
     def note(self, stage: TimedStage, seconds: float) -> None:
-        """Add one time of a stage."""
-        self._rings[stage].note(seconds)
+        """Add one time of a stage that has just ended."""
+        now_s = time.perf_counter()
+        _imports.look(now_s)
+        if stage not in _SPANS:
+            _note_work(now_s - seconds, now_s, stage)
+        self._rings[stage].note(seconds, stage)
 
     @contextmanager
     def of(self, stage: TimedStage) -> Iterator[None]:

@@ -18,8 +18,9 @@ PATHS_OF_ONE_SYSTEM = {
     "app/acquisition/watchdog.py": {"/proc/"},
     "app/acquisition/remote/ring.py": {"/proc/"},
     "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
-    "app/evaluation/live_path.py": {"/proc/"},
+    "app/evaluation/processor_time.py": {"/proc/"},
     "app/run_facts.py": {"/proc/cpuinfo"},
+    "reconstruction/runtime/threads.py": {"/proc/self/task/"},
     "drivers/genicam/_library.py": {"/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"},
     "drivers/usb_lights/_usbtmc.py": {"/etc/udev/rules.d/70-svwfs.rules"},
 }

@@ -16,12 +16,12 @@ from app.errors import InputError, RunError
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
-    from app.evaluation.live_path import LiveFigures, LivePlan, MeasuredRun
+    from app.evaluation.live_path import LiveFigures, LivePlan, MeasuredRun, Span
     from app.gui.shell.main_window import MainWindow
 
 _LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
 _POLL_S = 0.1
-_WARM_UP_S = 3.0  # maximum, of the run without a window, which measures no memory
+_LEAST_MS = 0.02  # of processor time in a frame, for which a thread is listed
 
 
 def benchmark(
@@ -93,11 +93,10 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.commands.display import use_display
     from app.evaluation.live_path import LiveFigures, MeasuredRun, recording_folder
+    from app.evaluation.processor_time import total_s
 
     is_seen = use_display()
-    warm_up_s = min(_WARM_UP_S, plan.warm_up_s)
-    lasting_s = (plan.warm_up_s + plan.seconds, warm_up_s + plan.without_window_s)
-    middle = lasting_s[0] / sum(lasting_s)
+    middle = (plan.warm_up_s + plan.seconds) / plan.lasting_s
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder, OwnInstrument("benchmark") as own:
         with_window = MeasuredRun(
@@ -111,7 +110,8 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         _run_in_window(with_window, with_panels=plan.with_panels)
     alone = named(between(progress, middle, 1.0), "no window")
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
-        without_window = MeasuredRun(acquisition, alone, warm_up_s=warm_up_s, seconds=plan.without_window_s)
+        warm_up_s, seconds = plan.bare_warm_up_s, plan.without_window_s
+        without_window = MeasuredRun(acquisition, alone, warm_up_s=warm_up_s, seconds=seconds)
         acquisition.start()
         without_window.send()
         for _ in without_window.steps():
@@ -122,6 +122,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         window=with_window.span,
         recording=with_window.acquisition.recording,
         bare=without_window.span,
+        processor_s=total_s(),
     )
 
 
@@ -178,6 +179,22 @@ def print_figures(figures: LiveFigures) -> None:
         colour = "[green]met[/]" if limit and limit.is_met else "[red]missed[/]"
         lines.append([name, measured, *((limit.asked, colour) if limit else ("", ""))])
     notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the start."]
+    notes += [f"Longest pause of the {pause}." for pause in span.pauses()]
     if recording is not None and recording.problem:
         notes.append(f"The recording ended early: {recording.problem}")
     terminal.print_table(None, ("live", "measured", "asked", ""), lines, notes)
+    if span.processor_s and span.frames.acquired:
+        _print_processor_times(span)
+
+
+def _print_processor_times(span: Span) -> None:
+    """Print the processor time of every process and its threads."""
+    lines = []
+    for process, threads in span.processor_s.items():
+        named = sorted(threads.items(), key=lambda item: (item[0] != "", -item[1]))
+        for thread, seconds in named:
+            ms = 1e3 * seconds / span.frames.acquired
+            if not thread or ms >= _LEAST_MS:
+                lines.append((f"  {thread}" if thread else process, f"{ms:.2f}", f"{100 * seconds / span.seconds:.1f}"))
+    notes = [f"Of it, the simulated camera takes {1e3 * span.camera_s / span.frames.acquired:.2f} ms; a real one none."]
+    terminal.print_table(None, ("processor time", "ms per frame", "% of a core"), lines, notes)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
 import shutil
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -19,11 +17,13 @@ from app.acquisition.remote.own_instrument import OwnConnection
 from app.acquisition.start_up import HeadlessRun
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
+from app.evaluation import processor_time
 from app.measurement.measurement import FrameTotals
 from app.progress import Progress
 from app.recording.recorder import RECENT_S, RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
 from app.timing import StageTimes, TimedStage
+from reconstruction.runtime.threads import name_threads
 from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0
@@ -33,6 +33,8 @@ _MOST_FIELD_MODES = max(FIELD_MODES.values())
 _BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
 _MARGIN = 1.1  # times the expected size of the recording
+_BARE_WARM_UP_S = 3.0  # at most
+_PROCESSOR_S, _PROCESSOR_LASTING_S = 55.0, 68.3  # asked of --live 40, and how long that runs
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,16 @@ class LivePlan:
     def without_window_s(self) -> float:
         """Duration of the run without window and recording."""
         return min(_WITHOUT_WINDOW_S, self.seconds / 3)
+
+    @property
+    def lasting_s(self) -> float:
+        """Duration of both runs after their first wavefronts."""
+        return self.warm_up_s + self.seconds + self.bare_warm_up_s + self.without_window_s
+
+    @property
+    def bare_warm_up_s(self) -> float:
+        """Warm-up of the run without window and recording, which measures no memory."""
+        return min(_BARE_WARM_UP_S, self.warm_up_s)
 
     @property
     def memory_s(self) -> float:
@@ -107,18 +119,12 @@ def share(frames: FrameTotals) -> float:
     return frames.reconstructed / taken if taken else math.nan
 
 
-def resident_mb(*processes: int) -> float | None:
-    """Return the resident memory of processes, MB of 2**20 bytes; None if the system does not report it."""
-    if sys.platform == "win32":
-        return None
-    try:
-        pages = sum(int(Path(f"/proc/{each}/statm").read_text().split()[1]) for each in processes)
-    except OSError:
-        return None
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
+_PAUSES: dict[str, tuple[TimedStage, ...]] = {
+    "acquisition": ("register", "reconstruct", "publish", "copy", "command"),
+    "recorder": ("record",),
+    "window": ("draw",),
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,6 +136,7 @@ class Span:
     frames: FrameTotals
     times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
     memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
+    processor_s: dict[str, dict[str, float]]  # of each thread by process; "" is all of one; empty if unknown
 
     @property
     def rate_hz(self) -> float:
@@ -140,6 +147,32 @@ class Span:
     def redrawn_hz(self) -> float:
         """Rate at which a window showed something new."""
         return self.times["draw"].count / self.seconds
+
+    @property
+    def redraw_s(self) -> float | None:
+        """Processor time of the window's process for each redraw; None if unknown."""
+        window, redraws = self.processor_s.get(processor_time.WINDOW), self.times["draw"].count
+        return window[""] / redraws if window and redraws else None
+
+    @property
+    def camera_s(self) -> float:
+        """Processor time of the simulated camera: detector and rendering."""
+        rendering = self.processor_s.get(processor_time.RENDERING, {})
+        detectors = (
+            seconds
+            for threads in self.processor_s.values()
+            for name, seconds in threads.items()
+            if name.startswith(processor_time.DETECTOR)
+        )
+        return rendering.get("", 0.0) + sum(detectors)
+
+    def pauses(self) -> Iterator[str]:
+        """Yield the longest pauses of acquisition, recorder and window with what ran meanwhile."""
+        for who, stages in _PAUSES.items():
+            stage = max(stages, key=lambda each: self.times[each].max_s if self.times[each].count else 0.0)
+            if (found := self.times[stage]).count:
+                during = f", during {found.cause}" if found.cause else ""
+                yield f"{who}: {stage.replace('_', ' ')} {1e3 * found.max_s:.0f} ms{during}"
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON."""
@@ -162,7 +195,7 @@ class MeasuredRun(HeadlessRun):
     ) -> None:
         """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
         super().__init__(acquisition, progress)
-        self._process, self._record_into = acquisition.address.process, record_into
+        self._record_into = record_into
         self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
         self._span: Span | None = None
         self._made_s = time.perf_counter()
@@ -190,18 +223,27 @@ class MeasuredRun(HeadlessRun):
             )
 
         yield from wait(first_s + self._warm_up_s, "warming up")
+        name_threads()
+        names = processor_time.processes()
         began_s, before, stages = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
+        taken_s = processor_time.processor_times(names)
         end_s = began_s + self._seconds
         yield from wait(end_s - self._memory_s, "measuring")
-        memory_mb = resident_mb(os.getpid(), self._process)
+        ours = [pid for pid, name in names.items() if name != processor_time.RENDERING]
+        memory_mb = processor_time.resident_mb(ours)
         yield from wait(end_s, "measuring")
         ended_s, after, times = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
+        processor_s: dict[str, dict[str, float]] = {name: {} for name in names.values()}
+        for (pid, thread), seconds in processor_time.processor_times(names).items():
+            of = processor_s[names[pid]]
+            of[thread] = of.get(thread, 0.0) + max(seconds - taken_s.get((pid, thread), 0.0), 0.0)
         self._span = Span(
             first_wavefront_s=first_s - self._made_s,
             seconds=ended_s - began_s,
             frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
             times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
-            memory_mb=(memory_mb, resident_mb(os.getpid(), self._process)),
+            memory_mb=(memory_mb, processor_time.resident_mb(ours)),
+            processor_s=processor_s,
         )
         if folder is not None:
             self.send(lambda to: (to.stop_recording(),))
@@ -232,6 +274,7 @@ class LiveFigures:
     window: Span
     recording: RecordingState | None  # at its end
     bare: Span  # without window and recording
+    processor_s: float | None  # of both runs and all their processes, from start to end; None if unknown
 
     @property
     def rate_ratio(self) -> float:
@@ -259,33 +302,39 @@ class LiveFigures:
             add(name, f"{shown} ms" if each.count else "none", *limit)
 
         add("frames acquired", f"{frames.acquired}")
+        least = 0.97 if self.plan.with_panels else 0.99
         reconstructed = f"{frames.reconstructed}: {100 * share(frames):.2f} %"
-        add("reconstructed", reconstructed, "share", share(frames), ge, 0.999, ">= 99.9 %")
+        add("reconstructed", reconstructed, "share", share(frames), ge, least, f">= {100 * least:.0f} %")
         add("lost by the camera", f"{frames.lost}", "lost", frames.lost, le, 0, "none")
-        late_s = times["to_result"].p99_s
-        add_times("camera to result", "to_result", "to_result_p99_s", late_s, lt, 0.030, "99 % < 30 ms")
+        late_s, longest = times["to_result"].p99_s, "all < 100 ms"
+        add_times("camera to result", "to_result", "to_result_p99_s", late_s, le, 0.030, "99 % <= 30 ms")
         add_times("camera to screen", "to_screen")
         redrawn_hz = window.redrawn_hz
         add("window redrawn", f"{redrawn_hz:.1f} /s", "redrawn_hz", redrawn_hz, ge, 20.0, ">= 20 /s")
-        if self.plan.with_panels:
-            add_times("redraw, with panels", "draw")
-        else:
-            add_times("redraw", "draw", "draw_p50_s", times["draw"].p50_s, le, 0.008, "half <= 8 ms")
+        add_times("redraw", "draw", "draw_max_s", times["draw"].max_s, lt, 0.1, longest)
+        if (redraw_s := window.redraw_s) is not None:
+            add("processor, each redraw", f"{1e3 * redraw_s:.1f} ms", "redraw_s", redraw_s, le, 0.012, "<= 12 ms")
         if recording is not None:
-            written_s, problem = times["record"].p99_s, bool(recording.problem)
-            add_times("frame written to the disk", "record", "record_p99_s", written_s, lt, 0.015, "99 % < 15 ms")
-            recorded = f"{recording.frames}"
+            add_times("frame written to the disk", "record", "record_max_s", times["record"].max_s, lt, 0.1, longest)
+            problem, recorded = bool(recording.problem), f"{recording.frames}"
             add("recorded, with warm-up", recorded, "recording_problems", problem, le, 0, "all frames")
         memory = f"memory, last {self.plan.memory_s:.0f} s"
         if growth is None:
             add(memory, "unknown on this system")
         else:
-            grown = "{:.0f} > {:.0f} MB, {:+.2f} %".format(*window.memory_mb, 100 * growth)
-            add(memory, grown, "memory_growth", growth, lt, 0.02, "< 2 %")
+            begin_mb, end_mb = window.memory_mb
+            add("memory of all processes", f"{end_mb:.0f} MB", "memory_mb", end_mb, le, 1000.0, "<= 1000 MB")
+            grown = f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * growth:+.2f} %"
+            add(memory, grown, "memory_growth", growth, lt, 0.01, "< 1 %")
         add(f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s")
         rate = f"{window.rate_hz:.2f} /s: {100 * ratio:.1f} %"
         add("rate with it", rate, "rate_ratio", ratio, ge, 0.95, ">= 95 %")
-        add("first wavefront after", f"{first_s:.1f} s", "first_wavefront_s", first_s, lt, 15.0, "< 15 s, warm")
+        add("first wavefront after", f"{first_s:.1f} s", "first_wavefront_s", first_s, le, 5.0, "<= 5 s, warm")
+        if (taken_s := self.processor_s) is not None:
+            most_s = _PROCESSOR_S * (self.plan.lasting_s / _PROCESSOR_LASTING_S)
+            add(
+                "processor, all processes", f"{taken_s:.1f} s", "processor_s", taken_s, le, most_s, f"<= {most_s:.0f} s"
+            )
         return lines
 
     def limits(self) -> list[Limit]:
@@ -307,6 +356,7 @@ class LiveFigures:
             "window": self.window.tree(),
             "without_window": self.bare.tree(),
             "memory_s": plan.memory_s,
+            "processor_s": self.processor_s,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
             "limits": {
                 each.name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}

@@ -22,6 +22,7 @@ from app.recording.folder import check_free, new_folder
 from app.recording.writer import Record, RecordingWriter
 from app.run_facts import timing_facts
 from app.timing import Timings
+from reconstruction.runtime.threads import name_threads
 
 RECENT_S = 10.0
 _RECENT_BYTES = 1e9
@@ -150,6 +151,7 @@ class BackgroundRecording:
         self._changed.notify()
 
     def _work(self) -> None:
+        name_threads()
         try:
             writer = RecordingWriter(self._folder, self._facts)
             try:

@@ -2,16 +2,19 @@
 
 import os
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache, lru_cache
+from pathlib import Path
 from threading import RLock
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
 
 THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
 _SWITCH_INTERVAL_S = 0.0005
+_LETTERS = 15  # of a thread's name that Linux keeps
 
 
 class ProcessSetting:
@@ -49,6 +52,16 @@ def worker_pool(threads: int) -> ThreadPoolExecutor:
 
 if hasattr(os, "register_at_fork"):  # a forked process inherits the pools, but not their threads
     os.register_at_fork(after_in_child=worker_pool.cache_clear)
+
+
+def name_threads() -> None:
+    """Give Linux the names of this process's threads, for `svwfs benchmark --live` and `top -H`.
+
+    Python does so itself from version 3.14 on.
+    """
+    for thread in threading.enumerate():
+        with suppress(OSError):
+            Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:_LETTERS])
 
 
 def one_blas_thread() -> AbstractContextManager[None]:

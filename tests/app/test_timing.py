@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import sys
 import time
+from collections import deque
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.patience import HANG_S
 
+import app.timing
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
@@ -44,6 +48,32 @@ def test_failing_body_is_not_timed() -> None:
     with pytest.raises(ValueError, match="no"), timings.of("register"):
         raise ValueError("no")
     assert timings.summary()["register"].count == 1
+
+
+def test_longest_time_names_what_ran_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(app.timing, "_long_work", deque())  # of other tests
+    timings = Timings()
+    timings.note("register", 0.1)
+    timings.note("record", 0.06)
+    assert timings.summary()["record"].cause == "register 60 ms"
+    timings.note("to_result", 0.2)
+    assert timings.summary()["to_result"].cause == "register 100 ms, record 60 ms"
+    timings.note("record", 0.0)
+    assert timings.summary()["record"].cause == "register 60 ms"
+
+
+def test_garbage_collection_and_import_are_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+    timings = Timings()
+    timings.note("register", 0.0)
+    note = next(each for each in gc.callbacks if each.__module__ == "app.timing")
+    note("start", {})
+    time.sleep(0.02)
+    note("stop", {})
+    monkeypatch.setitem(sys.modules, "made_up.module", sys)
+    timings.note("record", 0.02)
+    cause = timings.summary()["record"].cause
+    assert "garbage collection" in cause
+    assert "import of made_up (1 modules)" in cause
 
 
 def test_every_stage_of_the_worker_is_timed(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
