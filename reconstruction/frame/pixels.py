@@ -139,10 +139,13 @@ def clip_level(counts: Counts, *, scatter: float, read_noise: float) -> float | 
     """
     top = float(counts.max())
     edge = min(_EDGE * read_noise, _MOST_EDGE * scatter)
-    step = max(scatter, edge, 1.0 if np.issubdtype(counts.dtype, np.integer) else 0.0, _FINEST * abs(top))
-    piled = int(np.count_nonzero(counts > top - step))
-    below = int(np.count_nonzero(counts > top - 2 * step)) - piled
-    return top - step if is_piled_up(piled, below) else None
+    is_integer = np.issubdtype(counts.dtype, np.integer)
+    step = max(scatter, edge, 1.0 if is_integer else 0.0, _FINEST * abs(top))
+    level, lower = top - step, top - 2 * step
+    if is_integer:  # comparing them with a float takes much longer
+        level, lower = math.floor(level), math.floor(lower)
+    piled = int(np.count_nonzero(counts > level))
+    return level if is_piled_up(piled, int(np.count_nonzero(counts > lower)) - piled) else None
 
 
 def is_piled_up(piled: int, below: int) -> bool:

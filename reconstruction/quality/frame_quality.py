@@ -15,13 +15,14 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Counts, Floats
+from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.displacement import Displacement, LensletStatus
+from reconstruction.frame.linearity import LINEAR
 from reconstruction.frame.pixels import (
     BACKGROUND_PERCENT,
     CLIPPED,
@@ -36,6 +37,7 @@ from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.verdict import NO_FAULT, Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.compilation import compiled
 from reconstruction.settings import RegistrationSettings, Warp
 
 
@@ -107,21 +109,22 @@ class QualityChecker:
         # The light of lenslets holds no period shorter than the blur: a finer grid sees all of it.
         step = min(max(int(reference.blur_px), 1), _STEP_PX)
         columns, window = reference.bad.shape[1], (-1, reference.width, reference.width)
-        nearest = np.rint(reference.position_px[reference.lit]).astype(np.intp) @ (1, columns)
-        self._sampled = nearest.reshape(window)[:, ::step, ::step].reshape(len(nearest), -1)  # (lit lenslet, sample)
-        is_good = ~reference.bad.ravel()[self._sampled]
-        light = reference.light[reference.lit].reshape(window)[:, ::step, ::step].reshape(self._sampled.shape)
+        nearest = np.rint(reference.position_px[reference.lit]).astype(np.int32) @ np.array([1, columns], np.int32)
+        pixel = nearest.reshape(window)[:, ::step, ::step].reshape(len(nearest), -1)  # (lit lenslet, sample)
+        is_good = ~reference.bad.ravel()[pixel]
+        light = reference.light[reference.lit].reshape(window)[:, ::step, ::step].reshape(pixel.shape)
         self._light = np.sum(light * is_good, axis=1)
-        self._is_good = None if is_good.all() else is_good  # selecting takes as long as all else
         self._grid = np.stack(np.meshgrid(_ACROSS, _ACROSS), axis=-1).reshape(-1, 2)
         self._grid = self._grid[field.contains(*self._grid.T)]
         self._values: Floats | None = None  # of the field modes there, (field_mode, position), at the first frame
         self._noise_slopes = _NOISE_SLOPES * (1 + 1 / reference.reference_frames)  # its noise is not in the variance
-        self._dark = None if camera.dark is None else np.asarray(camera.dark, np.float64).ravel()[self._sampled]
-        level = 0.0 if self._dark is None else self._dark
-        self._stray = StrayLight(
-            self._sensor, lit=self._lit, light=light, sampled=self._sampled, is_good=is_good, dark=level
-        )
+        self._knows_dark = camera.dark is not None
+        dark = np.zeros(pixel.shape) if camera.dark is None else np.asarray(camera.dark, np.float64).ravel()[pixel]
+        self._stray = StrayLight(self._sensor, lit=self._lit, light=light, is_good=is_good)
+        a_good_one = np.take_along_axis(pixel, np.argmax(is_good, axis=1)[:, None], axis=1)
+        floats = (each.astype(np.float32) for each in (is_good, self._stray.gaps, dark, light + dark))
+        self._samples = _Samples(np.where(is_good, pixel, a_good_one), *floats)
+        self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
 
     def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
         """Say what is not judged, and why; `needed_frames` to average if the reference is too noisy."""
@@ -136,8 +139,7 @@ class QualityChecker:
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
-        pixels = np.asarray(frame.ravel(), np.float64 if frame.dtype.itemsize > 8 else None)  # a long double
-        reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(pixels, displacement))
+        reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(frame, displacement))
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
@@ -170,15 +172,8 @@ class QualityChecker:
             yield Fault.ILLUMINATION, f"{dark} of {count} lenslets {are_dark}"
 
     def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
-        """Faults seen in some pixels of a frame (pixel,), counts, with these displacements."""
-        counts = frame.take(self._sampled)
-        above = counts - (np.percentile(counts, BACKGROUND_PERCENT) if self._dark is None else self._dark)
-        brightest = above.max(initial=-np.inf)
-        if self._linearity is not None:
-            above = self._linearity.light(above)
-        if self._is_good is not None:
-            above, counts = np.where(self._is_good, above, 0.0), counts[self._is_good]
-        light = above.sum(axis=1)
+        """Faults seen in some pixels of a frame (row, column), counts, with these displacements."""
+        counts, brightest, light, added = self._collected(frame)
         whole = max(float(light.sum()), np.finfo(np.float64).tiny)
         ratio = light * (self._light.sum() / whole) / self._light
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
@@ -189,7 +184,7 @@ class QualityChecker:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
-        elif (rise := self._stray.rise(frame)) > _STRAY and rise > math.hypot(
+        elif (rise := self._stray.rise(added)) > _STRAY and rise > math.hypot(
             _STRAY, _STRAY_SHARE * self._sizes_px(displacement)[0]
         ):
             change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
@@ -205,6 +200,18 @@ class QualityChecker:
         clipped = clipped_fraction(counts, scatter=scatter, read_noise=read_noise)
         if clipped > CLIPPED:
             yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {TOO_BRIGHT}"
+
+    def _collected(self, frame: Counts) -> tuple[Counts, float, Floats, Floats]:
+        """Counts of the samples, the brightest signal, and sums over lit lenslets: light, and excess in the gaps."""
+        pixels: NDArray[Any] = np.ascontiguousarray(frame).reshape(-1).view()
+        if pixels.dtype not in _COMPILED:  # the others are rare, and each would be compiled anew
+            pixels = pixels.astype(np.float64)
+        pixels.setflags(write=False)  # as frames are: so that one kind is compiled
+        shape = self._samples.pixel.shape
+        background = 0.0 if self._knows_dark else np.percentile(pixels[self._samples.pixel], BACKGROUND_PERCENT)
+        counts, signals, sums = np.empty(shape, pixels.dtype), np.empty(shape, np.float32), np.empty((2, shape[0]))
+        _collect(pixels, self._samples, (np.float32(background), self._curve), counts, signals, sums)
+        return counts, float(signals.max(initial=-np.inf)), sums[0], sums[1]
 
     def _sizes_px(self, displacement: Displacement) -> tuple[float, float]:
         """RMS deformation of the subimages, and RMS scatter of their mean displacements, px."""
@@ -235,6 +242,48 @@ class QualityChecker:
                 square += float(misfit @ misfit) - self._noise_slopes * free * float(np.mean(variance[tile][valid]))
                 freedom += free
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
+
+
+class _Samples(NamedTuple):
+    """Pixels that are looked at, each (lit lenslet, sample)."""
+
+    pixel: NDArray[np.int32]  # of the flattened frame; a good one of the lenslet in place of a bad one
+    good: Image  # 1, or 0 for those replaced
+    gap: Image  # 1 between the openings, else 0
+    dark: Image  # counts; 0 if unknown
+    expected: Image  # counts of the reference
+
+
+_COMPILED = {np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float64)}  # frames that `_collect` reads
+
+
+@compiled
+def _collect(
+    frame: Counts, samples: _Samples, camera: tuple[np.float32, Image], counts: Counts, signals: Image, sums: Floats
+) -> None:
+    """Collect all that quality needs of a frame's pixels (pixel,), in one pass.
+
+    `camera`: counts without light beyond the dark, and the curve of `Linearity`. Fills in the `counts` and `signals`,
+    counts above the dark, of the samples, and the `sums` over lenslets (2, lit lenslet): light, and what the gaps have
+    more than in the reference.
+    """
+    background, (square, cube, highest, end) = camera
+    for lenslet in range(sums.shape[1]):
+        pixel, found, signal = samples.pixel[lenslet], counts[lenslet], signals[lenslet]
+        good, gap = samples.good[lenslet], samples.gap[lenslet]
+        dark, expected = samples.dark[lenslet], samples.expected[lenslet]
+        for n in range(found.size):
+            found[n] = frame[np.uint32(pixel[n])]
+        total, more = np.float32(0), np.float32(0)
+        for n in range(found.size):  # in vectors, unlike the loop above
+            count = np.float32(found[n])
+            above = count - background - dark[n]
+            within = min(above, highest)
+            light = within * (np.float32(1) + within * (square + within * cube)) + (above - within) * end
+            total += good[n] * light
+            more += gap[n] * (count - expected[n])
+            signal[n] = above
+        sums[0, lenslet], sums[1, lenslet] = total, more
 
 
 _LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong grey values?"
@@ -345,46 +394,38 @@ _PLANE = 3  # terms
 class StrayLight:
     """Measures the rise of stray light from lenslet to lenslet, against one reference."""
 
-    def __init__(
-        self,
-        sensor: Sensor,
-        *,
-        lit: Booleans,
-        light: Floats,
-        sampled: NDArray[np.intp],
-        is_good: Booleans,
-        dark: Floats | float,
-    ) -> None:
+    def __init__(self, sensor: Sensor, *, lit: Booleans, light: Floats, is_good: Booleans) -> None:
         """Prepare the planes of the lenslets whose gaps are dark enough.
 
         Parameters
         ----------
         sensor : Sensor
         lit : (lenslet_row, lenslet_column)
-        light, sampled, is_good : (lit lenslet, sample)
-            Of the reference, counts above the dark; pixel of the flattened frame; whether it is good.
-        dark : float or (lit lenslet, sample)
-            Counts; any number if unknown.
+        light, is_good : (lit lenslet, sample)
+            Of the reference, counts above the dark; whether the sample's pixel is good.
         """
         self._brightest = float(np.max(light, initial=0.0))
         gaps = is_good & (light < _GAP * self._brightest)
         gaps[np.count_nonzero(gaps, axis=1) < _FEWEST_SAMPLES] = False
-        self._pixels, self._expected = sampled[gaps], (light + dark)[gaps]
-        lenslets, self._lenslet, self._samples = np.unique(np.nonzero(gaps)[0], return_inverse=True, return_counts=True)
-        place = lenslet_centers(sensor.arrangement, *lit.shape)[lit][lenslets]  # pitches
+        self.gaps = gaps  # samples between the openings, (lit lenslet, sample)
+        samples = np.count_nonzero(gaps, axis=1)
+        self._lenslets = samples > 0
+        self._samples = samples[self._lenslets]
+        place = lenslet_centers(sensor.arrangement, *lit.shape)[lit][self._lenslets]  # pitches
         self._plane = np.column_stack([place, np.ones(len(place))])
         self._is_measured = len(place) >= _FEWEST_LENSLETS and np.linalg.matrix_rank(self._plane) == _PLANE
         self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
 
-    def rise(self, frame: Counts) -> float:
-        """Rise per pitch of a frame (pixel,), counts, beyond chance, over the brightest; 0 if unknown.
+    def rise(self, added: Floats) -> float:
+        """Rise per pitch of a frame beyond chance, over the brightest; 0 if unknown.
 
-        A plane is fitted by least squares to what the gaps of each lenslet have more than in the reference; the scatter
-        about it gives the standard error, as in any linear regression.
+        `added` (lit lenslet,) is the sum of what the samples in `gaps` have more than in the reference, counts. A plane
+        is fitted by least squares to the mean of each lenslet; the scatter about it gives the standard error, as in any
+        linear regression.
         """
         if not self._is_measured:
             return 0.0
-        added = np.bincount(self._lenslet, frame[self._pixels] - self._expected) / self._samples
+        added = added[self._lenslets] / self._samples
         plane = self._inverse @ added
         scatter = float(np.sum((added - self._plane @ plane) ** 2)) / (len(added) - _PLANE)
         error = math.sqrt(scatter * float(np.max(np.sum(self._inverse[:2] ** 2, axis=1))))

@@ -67,7 +67,8 @@ NO_FAULT = Quality()
 def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
     """Find a camera that repeats itself, by two frames (row, column) and the time between them."""
     reasons: dict[Fault, str] = {}
-    if before.shape == frame.shape and np.array_equal(before, frame):
+    # The first rows of all other frames differ.
+    if before.shape == frame.shape and np.array_equal(before[:1], frame[:1]) and np.array_equal(before, frame):
         reasons[Fault.FROZEN] = "this frame is identical to the one before: the camera repeats itself"
     if elapsed_s <= 0:
         moved = f"went back by {-elapsed_s:.3g} s" if elapsed_s < 0 else "stood still"
@@ -80,10 +81,14 @@ def repeated_reference(frame: Counts, reference: Counts) -> Quality:
 
     Noise makes two exposures differ.
     """
-    if frame.dtype == reference.dtype:
-        is_same = np.array_equal(frame, reference)
-    else:
-        is_rounded = any(np.issubdtype(image.dtype, np.integer) for image in (frame, reference))
-        difference = np.abs(np.subtract(frame, reference, dtype=np.float64)).max()
-        is_same = bool(difference < 1 if is_rounded else difference == 0)
+    is_rounded = frame.dtype != reference.dtype and any(
+        np.issubdtype(image.dtype, np.integer) for image in (frame, reference)
+    )
+
+    def are_same(one: Counts, other: Counts) -> bool:
+        if not is_rounded:
+            return np.array_equal(one, other)
+        return bool(np.abs(np.subtract(one, other, dtype=np.float64)).max() < 1)
+
+    is_same = are_same(frame[:1], reference[:1]) and are_same(frame, reference)
     return Quality.of(Fault.FROZEN, "the frame is the reference itself: give another exposure" * is_same)

@@ -260,14 +260,26 @@ def test_light_of_a_tenth_of_the_lenslets_may_differ_by_a_factor_of_2(factor: fl
     assert verdict("cubic", 1e4, light).faults == (Fault.ILLUMINATION if is_found else Fault(0))
 
 
+@pytest.mark.parametrize("is_in_reference", [True, False])
+def test_stray_light_counts_only_if_the_reference_has_none(is_in_reference: bool) -> None:
+    light = BENCH.reference / BENCH.reference.max() * 1e4
+    rising = np.asarray(light + 1e4 * 0.02 / BENCH.lattice.pitch_px * np.arange(light.shape[1]), np.float32)
+    reference = rising if is_in_reference else np.asarray(light, np.float32)
+    camera = KnownCamera(np.zeros_like(reference), noise=KnownNoise(NOISE))
+    reconstructor = BENCH.reconstructor("quadratic", pupil_modes=None, reference=reference, camera=camera)
+    quality_checker = QualityChecker(reconstructor.subimages, reconstructor.registration, camera=camera)
+    found = quality_checker(rising, reconstructor.register(rising))
+    assert ("stray light rises across the frame" in found.sentence) != is_in_reference
+
+
 @pytest.mark.parametrize(("share", "is_found"), [(0.0095, False), (0.0105, True)])
 def test_one_percent_of_the_pixels_may_be_clipped(share: float, is_found: bool) -> None:
     reconstructor, quality_checker = measured_by("cubic", 1e4)
     frame = exposed(aberrated(0.0), 1e4, 0)
     displacement = reconstructor.register(frame)
-    pixels = np.random.default_rng(0).permutation(np.unique(quality_checker._sampled))
+    pixels = np.random.default_rng(0).permutation(np.unique(quality_checker._samples.pixel))
     frame.ravel()[pixels[: round(share * pixels.size)]] = 2e4
-    assert np.mean(frame.ravel()[quality_checker._sampled] == 2e4) == pytest.approx(share, abs=3e-4)
+    assert np.mean(frame.ravel()[quality_checker._samples.pixel] == 2e4) == pytest.approx(share, abs=3e-4)
     assert (Fault.CLIPPED in quality_checker(frame, displacement).faults) == is_found
 
 
