@@ -37,7 +37,7 @@ class WrongState(DeviceError):
 
 
 class LightHeldOff(WrongState):
-    """The light was switched off, or went off, after the command that needs it was sent."""
+    """The light was switched off, or went off, after the command that needs it was made."""
 
 
 class BadValue(DeviceError):

@@ -22,7 +22,7 @@ from drivers.errors import (
     Unsupported,
     WrongState,
 )
-from drivers.light_source import LightSource
+from drivers.light_source import LightSource, OffCount
 from drivers.stage import Stage
 
 __all__ = [
@@ -42,6 +42,7 @@ __all__ = [
     "FrameLost",
     "LightHeldOff",
     "LightSource",
+    "OffCount",
     "Property",
     "Range",
     "Region",

@@ -7,6 +7,7 @@ above the limits of its head and of its owner. A driver implements the methods w
 import atexit
 import os
 import sys
+import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
@@ -28,6 +29,33 @@ _ATTEMPTS = 2  # to switch off: a command can be lost
 _LOCK_TIMEOUT_S = 1.0  # for another thread, which may hang, before the light is closed
 
 
+class OffCount:
+    """Counts how often a light was switched off by a person, or went off on its own.
+
+    A command may light it only if the count is still that of the time when the command was made. One thread begins
+    commands; any thread may add.
+    """
+
+    def __init__(self) -> None:
+        self.now = 0
+        self._at_command: int | None = None  # None without commands: each call is made now
+        self._adding = threading.Lock()
+
+    def add(self) -> None:
+        """Count one more."""
+        with self._adding:
+            self.now += 1
+
+    def begin_command(self, made_at: int) -> None:
+        """Begin a command that was made at this count."""
+        self._at_command = made_at
+
+    @property
+    def may_light(self) -> bool:
+        """True if the light has not gone off since the present command was made."""
+        return self._at_command in (None, self.now)
+
+
 class LightSource(Device):
     """A light with an adjustable current.
 
@@ -38,8 +66,8 @@ class LightSource(Device):
         """`limit_a` is the owner's limit of the current; `sleep` waits between two steps of a ramp."""
         super().__init__("light")
         self._limit_a, self._sleep = limit_a, sleep
-        self.may_shine: Callable[[], bool] = lambda: True  # asked before the light is lit, and while its current rises
-        self.off_reason = ""  # why it went off without a request, until it is lit again
+        self.off_count = OffCount()  # compared before the light is lit, and while its current rises
+        self.off_reason = ""  # why it went off on its own, until it is lit again
         self._has_begun = False  # until then the device is unknown, and `close` sends nothing to it
         self._is_noted_lit = False  # as far as known without a query
 
@@ -114,12 +142,12 @@ class LightSource(Device):
     def set_on(self, on: bool) -> None:
         """Switch the light; its current rises in steps.
 
-        Any thread may switch it off; that waits for one call of the other thread at most. `LightHeldOff` if it may not
-        shine.
+        Any thread may switch it off; that waits for one call of the other thread at most. `LightHeldOff` if it has gone
+        off since the present command was made: see `OffCount`.
         """
         with self._guarded():
             if on and not self._is_lit():
-                self._check_may_shine()
+                self._check_may_light()
                 self._light_up()
             else:
                 self._switch(on=on)
@@ -195,13 +223,18 @@ class LightSource(Device):
         start_a = self._read_current()
         steps = int(np.ceil(_RAMP_STEPS * (current_a - start_a) / max(allowed.maximum - allowed.minimum, 1e-12)))
         for step_a in np.linspace(start_a, current_a, max(steps, 1) + 1)[1:-1]:
-            self._check_may_shine()
+            self._check_may_light()
             self._set_current(float(step_a))
             self._sleep(_RAMP_S / _RAMP_STEPS)
         return self._set_current(current_a)
 
-    def _check_may_shine(self) -> None:
-        if not self.may_shine():
+    def _note_went_off(self, reason: str) -> None:
+        """Note that the light went off on its own."""
+        self._is_noted_lit, self.off_reason = False, reason
+        self.off_count.add()
+
+    def _check_may_light(self) -> None:
+        if not self.off_count.may_light:
             reason = self.off_reason or "the light was switched off meanwhile"
             raise LightHeldOff(f"{reason}: switch it on (L) and repeat")
 

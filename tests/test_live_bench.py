@@ -13,6 +13,7 @@ from support.pictures import html_picture
 
 import svwfs
 from app.acquisition.start_up import knows_sample
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from drivers.dcam import DcamSettings
 from drivers.interface import LightSource
@@ -124,6 +125,7 @@ def test_light_that_cannot_be_switched_off_is_reported_on_leaving(cause: Excepti
 
     def run() -> None:
         with svwfs.live(bench, average=2) as live:
+            assert isinstance(live._acquisition, Acquisition)
             live._result(live._acquisition.submit(lambda instrument: _spoil(instrument.devices.light, fail)))
             if cause is not None:
                 raise cause

@@ -5,14 +5,15 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.errors import InputError
 from app.measurement.routines import Cancelled, RoutineError
-from drivers.interface import BadValue, Unsupported, WrongState
+from drivers.interface import BadValue, OffCount, Unsupported, WrongState
 from reconstruction.errors import ReconstructionError
 
+P = ParamSpec("P")
 T = TypeVar("T")
 
 # passed to the caller; the thread goes on
@@ -29,25 +30,31 @@ def done() -> Future[None]:
 class CommandQueue:
     """Accepts commands from any thread until it is closed; each gets a future.
 
-    `afterwards` runs after a command that did not stop the worker, before its future resolves.
+    `afterwards` runs after a command that did not stop the worker, before its future resolves. A command may not light
+    a light that has gone off since it was submitted. None begins while another thread holds `beginning`.
     """
 
-    def __init__(self, afterwards: Callable[[Instrument], None]) -> None:
-        self._afterwards = afterwards
+    def __init__(self, off_count: OffCount, afterwards: Callable[[Instrument], None]) -> None:
+        self._off_count, self._afterwards = off_count, afterwards
+        self.beginning = threading.Lock()
         self._waiting: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
         self._ending = threading.Lock()  # no command may slip in while the queue closes
         self._refusal: str | None = None  # why commands are refused; None while they are accepted
 
-    def submit(self, command: Callable[[Instrument], T]) -> Future[T]:
+    def submit(
+        self, command: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
+    ) -> Future[T]:
         """Append a command; its future has a `WrongState` if the queue is closed."""
         future: Future[T] = Future()
+        made_at = self._off_count.now
 
         def execute(instrument: Instrument) -> None:
             if not future.set_running_or_notify_cancel():
                 return
+            self._off_count.begin_command(made_at)
             try:
                 try:
-                    resolve = partial(future.set_result, command(instrument))
+                    resolve = partial(future.set_result, command(instrument, *arguments, **named))
                 except _HARMLESS as error:
                     resolve = partial(future.set_exception, error)
                 self._afterwards(instrument)
@@ -77,7 +84,8 @@ class CommandQueue:
             execute, _ = self._waiting.get(block=timeout_s > 0, timeout=timeout_s)
         except queue.Empty:
             return None
-        return execute
+        with self.beginning:
+            return execute
 
     def close(self, refusal: str) -> None:
         """Refuse all waiting and future commands for this reason."""

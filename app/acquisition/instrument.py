@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterable
-from contextlib import nullcontext, suppress
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, Self, TypeAlias
@@ -46,10 +46,6 @@ from reconstruction.quality.verdict import Fault, Quality
 
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
-
-DeviceSetting = Literal[
-    "is_running", "exposure_s", "em_gain", "amplifier", "readout_speed", "current_a", "is_light_on", "is_sample_in"
-]
 
 Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 
@@ -193,24 +189,45 @@ class Instrument:
             temperature_c=camera.temperature_c,
         )
 
-    def set(self, name: DeviceSetting, value: Any, *, paused: bool = False) -> Any:
-        """Change a setting of the devices; return the value in force, or what else a mode changed.
+    def set_running(self, is_running: bool) -> None:
+        """Start or stop the camera, unless it is so already."""
+        if not is_running:
+            self.devices.camera.stop()
+        elif not self.devices.camera.is_running:
+            self.devices.camera.start()
 
-        Of a light or stage without control, it is noted. With `paused`, all later frames are exposed after the change.
-        """
-        camera, light, stage = self.devices.camera, self.devices.light, self.devices.stage
-        changes: dict[DeviceSetting, Callable[[Any], Any]] = {
-            "is_running": self._set_running,
-            "exposure_s": camera.set_exposure,
-            "em_gain": camera.set_em_gain,
-            "amplifier": partial(self._set_mode, camera.set_amplifier),
-            "readout_speed": partial(self._set_mode, camera.set_readout_speed),
-            "current_a": light.set_current,
-            "is_light_on": light.note_light,
-            "is_sample_in": stage.note_sample,
-        }
-        with camera.paused() if paused else nullcontext():
-            return changes[name](value)
+    def set_exposure_s(self, exposure_s: float, *, paused: bool = False) -> float:
+        """Change the exposure time; return the one in force. If `paused`, later frames are exposed after the change."""
+        with self._paused(paused):
+            return self.devices.camera.set_exposure(exposure_s)
+
+    def set_em_gain(self, em_gain: float, *, paused: bool = False) -> float:
+        """Change the electron multiplication; return the one in force."""
+        with self._paused(paused):
+            return self.devices.camera.set_em_gain(em_gain)
+
+    def set_amplifier(self, amplifier: str) -> str:
+        """Change the amplifier; return in words what else has changed."""
+        return self._set_mode(partial(self.devices.camera.set_amplifier, amplifier))
+
+    def set_readout_speed(self, readout_speed: int) -> str:
+        """Change the readout speed; return in words what else has changed."""
+        return self._set_mode(partial(self.devices.camera.set_readout_speed, readout_speed))
+
+    def set_current_a(self, current_a: float, *, paused: bool = False) -> float:
+        """Change the current of the light; return the one in force."""
+        with self._paused(paused):
+            return self.devices.light.set_current(current_a)
+
+    def set_light_on(self, is_on: bool, *, paused: bool = False) -> None:
+        """Switch the light, or note that a person has switched a manual one."""
+        with self._paused(paused):
+            self.devices.light.note_light(is_on)
+
+    def set_sample_in(self, is_in: bool, *, paused: bool = False) -> None:
+        """Move the sample, or note that a person has moved it."""
+        with self._paused(paused):
+            self.devices.stage.note_sample(is_in)
 
     def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
@@ -300,7 +317,7 @@ class Instrument:
         before = self.bench
         try:
             after = _changed(before, changes)
-        except ValueError as error:  # inconsistent settings
+        except (ValueError, TypeError, AttributeError) as error:  # inconsistent, or of another program
             raise BadValue(str(error)) from error
         words = changes_in_words(before, after)
         if mask is not None:
@@ -341,18 +358,15 @@ class Instrument:
     def _now(self) -> AcquisitionSettings:
         return AcquisitionSettings.of(self.devices)
 
-    def _set_running(self, is_running: bool) -> None:
-        if not is_running:
-            self.devices.camera.stop()
-        elif not self.devices.camera.is_running:
-            self.devices.camera.start()
+    def _paused(self, is_paused: bool) -> AbstractContextManager[object]:
+        return self.devices.camera.paused() if is_paused else nullcontext()
 
-    def _set_mode(self, change: Callable[[Any], object], mode: object) -> str:
+    def _set_mode(self, change: Callable[[], object]) -> str:
         """Change a mode of the camera, restore the exposure and gain last used in it; say what changed."""
         camera = self.devices.camera
         exposure_s, em_gain = self._modes[camera.amplifier, camera.readout_speed] = camera.exposure_s, camera.em_gain
         with camera.paused():
-            change(mode)
+            change()
             if known := self._modes.get((camera.amplifier, camera.readout_speed)):
                 with suppress(BadValue):  # the region may have changed the limits
                     camera.set_exposure(known[0])

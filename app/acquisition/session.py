@@ -9,10 +9,10 @@ from concurrent.futures import Future, wait
 from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Self, TypeVar
 
 from app.acquisition.address import NAME
-from app.acquisition.instrument import DeviceSetting, Instrument, Status
+from app.acquisition.instrument import Status
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, HeadlessRun, knows_sample, start_up, without_sample
@@ -203,10 +203,10 @@ class LiveBench:
         if bench.has_manual_light:
             for step in steps:
                 ask(f"switch the light {'on' if step.is_lit else 'off'}")
-                self._set("is_light_on", step.is_lit)
+                self._result(acquisition.set_light_on(step.is_lit, paused=True))
                 self._result(step.begin(acquisition, frames))
         else:  # all are sent at once: a light that goes off meanwhile stays off
-            lit = acquisition.submit(Instrument.set, "is_light_on", True)
+            lit = acquisition.set_light_on(True)
             for future in (lit, *(step.begin(acquisition, frames) for step in steps)):
                 self._result(future)
         while not self._status().is_calibrated:
@@ -221,40 +221,40 @@ class LiveBench:
 
     def take_dark(self, frames: int = FRAMES) -> None:
         """Average `frames` frames with the light off and use the mean as dark from now on."""
-        self._result(self._acquisition.submit(Instrument.take_dark, frames))
+        self._result(self._acquisition.take_dark(frames))
 
     def take_reference(self, frames: int = FRAMES) -> None:
         """Average `frames` frames without the sample and use the mean as reference from now on."""
-        self._result(self._acquisition.submit(Instrument.take_reference, frames))
+        self._result(self._acquisition.take_reference(frames))
 
     def note_sample_in(self) -> None:
         """Note in recordings that the sample is in the beam; only needed on a bench without motors."""
-        self._set("is_sample_in", True)
+        self._result(self._acquisition.set_sample_in(True, paused=True))
 
     def set_exposure(self, exposure_s: float) -> float:
         """Change the exposure time, s; return the one in force. Dark and reference are stale until taken again."""
-        return float(self._set("exposure_s", float(exposure_s)))
+        return self._result(self._acquisition.set_exposure_s(float(exposure_s), paused=True))
 
     def set_em_gain(self, em_gain: float) -> float:
         """Change the electron multiplication; return the one in force. Dark and reference are stale until retaken."""
-        return float(self._set("em_gain", float(em_gain)))
+        return self._result(self._acquisition.set_em_gain(float(em_gain), paused=True))
 
     def set_light_current(self, current_a: float) -> float:
         """Change the current of the light, A; return the one in force. The reference may have another brightness."""
-        return float(self._set("current_a", float(current_a)))
+        return self._result(self._acquisition.set_current_a(float(current_a), paused=True))
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
         if not on and not self._bench.has_manual_light:
             self._result(self._acquisition.switch_light_off())
-        self._set("is_light_on", bool(on))
+        self._result(self._acquisition.set_light_on(bool(on), paused=True))
 
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
 
         The dark and the reference are stale afterwards: take them again.
         """
-        return self._result(self._acquisition.submit(Instrument.auto_expose)).exposure_s
+        return self._result(self._acquisition.auto_expose()).exposure_s
 
     def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
         """Measure the camera's nonlinearity without the sample; nothing is changed.
@@ -262,7 +262,7 @@ class LiveBench:
         Exposures of `frames` frames each are taken with rising and falling length, twice; `.linearity` of the result is
         the section `[linearity]` of a bench. `RoutineError` says why it cannot be measured.
         """
-        return self._result(self._acquisition.submit(Instrument.measure_linearity, frames))
+        return self._result(self._acquisition.measure_linearity(frames))
 
     def record(self, folder: Path | str, frames: int, *, command: str = "python") -> Path:
         """Record the next `frames` frames into a new folder, wait for the last one, and return the folder.
@@ -314,7 +314,7 @@ class LiveBench:
             time.sleep(_WAIT_S)
 
     def _start_camera(self) -> None:
-        self._result(self._acquisition.submit(Instrument.set, "is_running", True))
+        self._result(self._acquisition.set_running(True))
 
     def _follow(self, steps: Iterator[None]) -> None:
         """Make all steps; raise the error that ended the acquisition rather than one of theirs."""
@@ -350,10 +350,6 @@ class LiveBench:
         with self._arrived:
             self._newest = measurement
             self._arrived.notify_all()
-
-    def _set(self, name: DeviceSetting, value: object) -> Any:
-        """Change a setting, the camera paused: all later measurements are of frames exposed after the change."""
-        return self._result(self._acquisition.submit(Instrument.set, name, value, paused=True))
 
     def _result(self, step: Future[T]) -> T:
         """Wait for a command's result; an error that ended the acquisition goes before the command's."""

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from app.acquisition.instrument import DeviceSetting, Instrument, Status
+from app.acquisition.instrument import Status
 from app.acquisition.running_instrument import RunningInstrument
 from app.bench.config import Bench
 from app.errors import InputError, RunError
@@ -16,6 +16,7 @@ from app.measurement.auto_exposure import FILL
 from app.measurement.averages import FRAMES
 from app.measurement.routines import Cancelled
 from app.progress import Progress
+from app.timing import StageTimes, TimedStage
 from reconstruction.geometry import Lattice
 
 _HOPELESS_FRAMES = 20  # without a wavefront, when the bench is calibrated
@@ -31,13 +32,13 @@ def start_up(acquisition: RunningInstrument, frames: int = FRAMES, *, is_lit: bo
     """
     has_motor, steps = not acquisition.bench.has_manual_stage, list[Future[Any]]()
     if is_lit:
-        steps.append(acquisition.submit(Instrument.set, "is_light_on", True))
-    steps.append(acquisition.submit(Instrument.take_dark, frames))
+        steps.append(acquisition.set_light_on(True))
+    steps.append(acquisition.take_dark(frames))
     if is_lit and has_motor:
-        steps.append(acquisition.submit(Instrument.take_reference, frames))
+        steps.append(acquisition.take_reference(frames))
     if has_motor:
-        steps.append(acquisition.submit(Instrument.set, "is_sample_in", True))
-    return (*steps, acquisition.submit(Instrument.set, "is_running", True))
+        steps.append(acquisition.set_sample_in(True))
+    return (*steps, acquisition.set_running(True))
 
 
 def knows_sample(acquisition: RunningInstrument) -> bool:
@@ -65,36 +66,36 @@ LATTICE = CalibrationStep(
     "Lattice",
     "Finds the lenslets in a few frames without the sample",
     is_lit=True,
-    begin=lambda to, _: to.submit(Instrument.find_lattice),
+    begin=lambda to, _: to.find_lattice(),
 )
 EXPOSURE = CalibrationStep(
     "Exposure",
     "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill"
     f" {100 * FILL:.0f} % of the range",
     is_lit=True,
-    begin=lambda to, _: to.submit(Instrument.expose_without_sample),
+    begin=lambda to, _: to.expose_without_sample(),
 )
 DARK = CalibrationStep(
     "Dark",
     "Averages frames with the light off: the background of all frames",
     is_lit=False,
-    begin=lambda to, frames: to.submit(Instrument.take_dark, frames),
+    begin=lambda to, frames: to.take_dark(frames),
 )
 REFERENCE = CalibrationStep(
     "Reference",
     "Averages frames with the light on and without the sample: the zero point of the displacements",
     is_lit=True,
-    begin=lambda to, frames: to.submit(Instrument.take_reference, frames),
+    begin=lambda to, frames: to.take_reference(frames),
 )
 STEPS = (LATTICE, EXPOSURE, DARK, REFERENCE)
 
 
-def by_hand(step: CalibrationStep, status: Status) -> tuple[str, DeviceSetting, bool] | None:
-    """Return what a person must do before a step, the setting that notes it, and its value, if any."""
+def by_hand(step: CalibrationStep, status: Status) -> tuple[str, Callable[[RunningInstrument], Future[None]]] | None:
+    """Return what a person must do before a step, if anything, and the command that notes it."""
     if status.bench.has_manual_light and status.is_light_on != step.is_lit:
-        return f"switch the light {'on' if step.is_lit else 'off'} by hand", "is_light_on", step.is_lit
+        return f"switch the light {'on' if step.is_lit else 'off'} by hand", lambda to: to.set_light_on(step.is_lit)
     if status.bench.has_manual_stage and step.is_lit and status.is_sample_in:
-        return "take the sample out of the beam", "is_sample_in", False
+        return "take the sample out of the beam", lambda to: to.set_sample_in(False)
     return None
 
 
@@ -164,6 +165,13 @@ class HeadlessRun:
             self._check()
             self._progress(text, fraction())
             yield
+
+    def stage_times(self) -> Generator[None, None, dict[TimedStage, StageTimes]]:
+        """Return the times of the instrument's stages, and of those of this process."""
+        asked = self.acquisition.stage_times()
+        yield from self.until(asked.done)
+        here = self.acquisition.timings.summary()
+        return asked.result() | {stage: times for stage, times in here.items() if times.count}
 
     def is_recorded(self) -> bool:
         """True if the recording is over, or there is none."""

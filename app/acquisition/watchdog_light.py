@@ -87,7 +87,7 @@ class WatchdogLight(LightSource):
     def _is_lit(self) -> bool:
         is_lit = bool(self._watchdog.call("is_on"))
         if not is_lit and self._is_noted_lit:
-            self.off_reason = self._watchdog.call("off_reason")
+            self._note_went_off(self._watchdog.call("off_reason"))
         return is_lit
 
     def _switch(self, *, on: bool) -> None:

@@ -8,8 +8,8 @@ import math
 import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import Future
-from contextlib import closing, suppress
+from concurrent.futures import Future, wait
+from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,6 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
-from app.acquisition.emergency_light_off import EmergencyLightOff
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Instrument, ProcessState, Status
 from app.acquisition.running_instrument import WINDOW, Activity
@@ -29,8 +28,8 @@ from app.measurement.routines import Cancelled, RoutineCallbacks
 from app.measurement.sensor_region import SensorArea
 from app.progress import run_in_thread
 from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit, RecordingState
-from app.timing import Timings
-from drivers.interface import DeviceError, Devices, Frame, WrongState
+from app.timing import StageTimes, TimedStage, Timings
+from drivers.interface import DeviceError, Devices, Frame, LightSource, OffCount, WrongState
 from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
 
 T = TypeVar("T")
@@ -38,6 +37,7 @@ P = ParamSpec("P")
 
 _IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
+_PROCESSES_S = 1.0  # between two inspections of the processes
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the watchdog switches the light off.
 _ALIVE_S = 1.5  # while the worker waits, and takes frames, ...
@@ -46,6 +46,17 @@ _COMMAND_S = 10.0  # a command, and each step of a routine: cameras change some 
 _PREPARATION_S = 120.0  # of the reconstruction, and each of the first frames, which may compile
 _FIRST_FRAMES = 5
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
+
+
+def _between_frames(
+    request: Callable[Concatenate[Instrument, P], T],
+) -> Callable[Concatenate["Acquisition", P], Future[T]]:
+    """Return the method that executes a request of the instrument between two frames."""
+
+    def send(acquisition: "Acquisition", /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
+        return acquisition._commands.submit(request, *arguments, **named)  # noqa: SLF001 - one of its methods
+
+    return send
 
 
 class Acquisition:
@@ -62,18 +73,17 @@ class Acquisition:
         *,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
         on_show: Callable[[Measurement], object] = lambda _: None,
-        hear_requests: Callable[[], object] = lambda: None,
     ) -> None:
-        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only.
-
-        The worker calls `hear_requests` before it lights the light: one to switch it off may have arrived unheard.
-        """
+        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only."""
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices or bench_devices.open_devices
-        self._commands = CommandQueue(self._finish_command)
+        self._off_count = OffCount()  # of the light, also while it is opened
+        self._commands = CommandQueue(self._off_count, self._finish_command)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
-        self._emergency_light_off = EmergencyLightOff(hear_requests)
+        self._light: LightSource | None = None
+        self._switching_off: list[Future[None]] = []  # requests under way
+        self._dark_s = -math.inf  # when the light was last switched off by a request
         self._writing_status = threading.Lock()
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()
@@ -84,6 +94,8 @@ class Acquisition:
         self._activity = Activity("opening the devices")
         self._keep_alive: Callable[[float], None] = lambda _: None
         self._find_processes: Callable[[], tuple[ProcessState, ...]] = tuple
+        self._processes: tuple[ProcessState, ...] = ()
+        self._processes_due_s = -math.inf
         self._first_frames = 0  # to come, after the last preparation
         self.error: Exception | None = None  # why the worker ended without being asked to
 
@@ -94,17 +106,38 @@ class Acquisition:
     def submit(
         self, request: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
     ) -> Future[T]:
-        """Execute a request between two frames, as `submit(Instrument.take_dark, 20)`.
+        """Execute any request of the instrument between two frames.
 
         The future resolves after `status` is updated. A routine shows its progress as `activity`.
         """
-        known = self._emergency_light_off.known()
+        return self._commands.submit(request, *arguments, **named)
 
-        def execute(instrument: Instrument) -> T:
-            self._emergency_light_off.begin_command(known)
-            return request(instrument, *arguments, **named)
+    set_running = _between_frames(Instrument.set_running)
+    set_exposure_s = _between_frames(Instrument.set_exposure_s)
+    set_em_gain = _between_frames(Instrument.set_em_gain)
+    set_amplifier = _between_frames(Instrument.set_amplifier)
+    set_readout_speed = _between_frames(Instrument.set_readout_speed)
+    set_current_a = _between_frames(Instrument.set_current_a)
+    set_light_on = _between_frames(Instrument.set_light_on)
+    set_sample_in = _between_frames(Instrument.set_sample_in)
+    take_dark = _between_frames(Instrument.take_dark)
+    take_reference = _between_frames(Instrument.take_reference)
+    use = _between_frames(Instrument.use)
+    auto_expose = _between_frames(Instrument.auto_expose)
+    expose_without_sample = _between_frames(Instrument.expose_without_sample)
+    check_background = _between_frames(Instrument.check_background)
+    find_lattice = _between_frames(Instrument.find_lattice)
+    survey_lattice = _between_frames(Instrument.survey_lattice)
+    measure_linearity = _between_frames(Instrument.measure_linearity)
+    change_settings = _between_frames(Instrument.change_settings)
 
-        return self._commands.submit(execute)
+    def holding_commands(self) -> AbstractContextManager[object]:
+        """Begin no command within a `with` block: one of those that are sent in it may switch the light off."""
+        return self._commands.beginning
+
+    def stage_times(self) -> Future[dict[TimedStage, StageTimes]]:
+        """Find the statistics of the times of all stages; that takes milliseconds."""
+        return run_in_thread(self.timings.summary, "stage times")[0]
 
     def cancel(self) -> Future[None]:
         """End the current routine, if any; it restores the devices."""
@@ -116,14 +149,19 @@ class Acquisition:
 
         Commands that were sent before cannot switch it on again; the future resolves when it is off.
         """
-        future = self._emergency_light_off.switch_off()
+        self._off_count.add()
         self.cancel()
-        future.add_done_callback(self._note_light_off)
+        future, _ = run_in_thread(self._switch_off, "light off")
+        self._switching_off = [*(each for each in self._switching_off if not each.done()), future]
         return future
 
-    def keep_light_off(self) -> None:
-        """Let the present command, which calls this, not light: the light was switched off after it was made."""
-        self._emergency_light_off.begin_command(known=(-1, ""))
+    def _switch_off(self) -> None:
+        if self._light is not None:  # else no device is open yet, and the count keeps the light off
+            self._light.set_on(False)
+        with self._writing_status:
+            self._dark_s = time.monotonic()
+            if self.status is not None:
+                self.status = replace(self.status, is_light_on=False)
 
     def set_area(self, area: SensorArea) -> Future[SensorArea]:
         """Read out another area of the sensor; see `Instrument.set_area`.
@@ -156,7 +194,7 @@ class Acquisition:
                 raise WrongState(f"{file}: is not shown during a recording, of which it would be part")
             frame = choose(instrument)  # may refuse: the camera goes on
             instrument.devices.camera.stop()
-            self._path.process_single(frame, instrument, self._light(), file)
+            self._path.process_single(frame, instrument, self._light_state(), file)
 
         return self.submit(command)
 
@@ -213,7 +251,7 @@ class Acquisition:
     @property
     def activity(self) -> Activity:
         """Work besides taking frames; also that the light does not answer, for which all of it waits."""
-        if self._emergency_light_off.is_light_silent:
+        if self._light is not None and self._light.is_silent:
             return Activity("the light does not answer", may_cancel=False)
         return self._activity
 
@@ -224,8 +262,10 @@ class Acquisition:
 
     @property
     def processes(self) -> tuple[ProcessState, ...]:
-        """State of the processes that hold the light and search for layers, if there are any."""
-        return self._find_processes()
+        """State of the processes that hold the light and search for layers, if any; inspected once a second at most."""
+        if time.monotonic() > self._processes_due_s:
+            self._processes, self._processes_due_s = self._find_processes(), time.monotonic() + _PROCESSES_S
+        return self._processes
 
     @property
     def newest(self) -> Measurement | None:
@@ -253,7 +293,7 @@ class Acquisition:
         self.begin_close()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
-        self._emergency_light_off.close(_LIGHT_OFF_S if timeout_s is None else timeout_s)
+        wait(self._switching_off, _LIGHT_OFF_S if timeout_s is None else timeout_s)
 
     def _now_and_in_turn(self, act: Callable[[], None]) -> Future[None]:
         """Act at once, and again behind the commands that wait: one of them may start a recording."""
@@ -279,9 +319,9 @@ class Acquisition:
                 ) as instrument,
             ):
                 self._path.sinks += published
-                self._emergency_light_off.attach(devices.light)
+                devices.light.off_count, self._light = self._off_count, devices.light
                 self._keep_alive = devices.light.keep_alive
-                self._find_processes = instrument.processes
+                self._find_processes, self._processes_due_s = instrument.processes, -math.inf
                 self._activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
@@ -291,7 +331,7 @@ class Acquisition:
                     else:
                         self._show_alive()
                         with suppress(Cancelled):  # to execute a command, or to stop
-                            self._path.acquire(instrument, self._light())
+                            self._path.acquire(instrument, self._light_state())
                             self._first_frames = max(self._first_frames - 1, 0)
         except Cancelled:
             pass
@@ -324,7 +364,7 @@ class Acquisition:
     def _callbacks(self, instrument: Instrument, text: str) -> RoutineCallbacks:
         def show_progress(frame: Frame, fraction: float) -> None:
             self._activity = Activity(text, fraction)
-            self._path.show(frame, text, self._light())
+            self._path.show(frame, text, self._light_state())
 
         def should_stop() -> bool:
             self._keep_alive(_COMMAND_S)
@@ -364,20 +404,13 @@ class Acquisition:
             self._update_status(instrument)
 
     def _update_status(self, instrument: Instrument) -> None:
-        asked_s, served = time.monotonic(), self._emergency_light_off.served
+        asked_s = time.monotonic()
         status, answered_s = instrument.status(), time.monotonic()
         with self._writing_status:
-            if served != self._emergency_light_off.served:  # switched off while the status was queried
-                status = replace(status, is_light_on=False)
-            self.status = status
+            self.status = replace(status, is_light_on=False) if self._dark_s >= asked_s else status
         self._status_due_s = answered_s + max(_STATUS_INTERVAL_S, (answered_s - asked_s) / _STATUS_SHARE)
 
-    def _note_light_off(self, future: Future[None]) -> None:
-        with self._writing_status:
-            if future.exception() is None and self.status is not None:
-                self.status = replace(self.status, is_light_on=False)
-
-    def _light(self) -> LightState | None:
+    def _light_state(self) -> LightState | None:
         return None if self.status is None else LightState(self.status.is_light_on, self.status.current_a)
 
 

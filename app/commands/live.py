@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from app.bench.config import Bench
     from app.gui.shell.instrument_factory import InstrumentFactory
     from app.gui.shell.main_window import MainWindow
-    from app.measurement.measurement import Measurement
+    from app.measurement.measurement import FrameTotals, Measurement
+    from app.timing import StageTimes, TimedStage
 
 _LIVE_OUT = Path("svwfs-output")
 _UNATTENDED_S = 8.0  # layers are found six to seven seconds after the first wavefront
@@ -185,8 +186,8 @@ def headless_window(
     from app.acquisition.start_up import HeadlessRun
     from app.gui.application import headless_steps, run_window
 
-    def finish(acquisition: RunningInstrument, measurement: Measurement) -> None:
-        _write_run(run, acquisition)
+    def finish(acquisition: RunningInstrument, measurement: Measurement, times: dict[TimedStage, StageTimes]) -> None:
+        _write_run(run, acquisition.counts, times)
         if measurement.wavefront is not None:
             dataset = result_dataset(measurement.wavefront, measurement.quality)
             status = acquisition.status
@@ -204,16 +205,15 @@ def headless_window(
     return status
 
 
-def _write_run(path: Path, acquisition: RunningInstrument) -> None:
+def _write_run(path: Path, counts: FrameTotals, times: dict[TimedStage, StageTimes]) -> None:
     """Write `run.json` of a run without a recording: numbers of frames and stage times."""
     from app.run_facts import now, software_facts, timing_facts, write_record
 
-    shown = acquisition.timings.summary()["draw"].count
     record = {
         "command": "live",
         "ended": now(),
-        "frames": {**asdict(acquisition.counts), "shown": shown},
-        "timings": timing_facts(acquisition.timings.summary()),
+        "frames": {**asdict(counts), "shown": times["draw"].count},
+        "timings": timing_facts(times),
         **software_facts(),
     }
     write_record(path, record)

@@ -225,14 +225,16 @@ class MeasuredRun(HeadlessRun):
         yield from wait(first_s + self._warm_up_s, "warming up")
         name_threads()
         names = processor_time.processes()
-        began_s, before, stages = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
+        stages = yield from self.stage_times()
+        began_s, before = time.perf_counter(), acquisition.counts
         taken_s = processor_time.processor_times(names)
         end_s = began_s + self._seconds
         yield from wait(end_s - self._memory_s, "measuring")
         ours = [pid for pid, name in names.items() if name != processor_time.RENDERING]
         memory_mb = processor_time.resident_mb(ours)
         yield from wait(end_s, "measuring")
-        ended_s, after, times = time.perf_counter(), acquisition.counts, acquisition.timings.summary()
+        ended_s, after = time.perf_counter(), acquisition.counts
+        times = yield from self.stage_times()
         processor_s: dict[str, dict[str, float]] = {name: {} for name in names.values()}
         for (pid, thread), seconds in processor_time.processor_times(names).items():
             of = processor_s[names[pid]]

@@ -19,6 +19,7 @@ from app.gui.widgets.copies import write_picture
 from app.gui.widgets.theme import styled_application
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
+from app.timing import StageTimes, TimedStage
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 
@@ -140,9 +141,12 @@ def headless_steps(
     run: HeadlessRun,
     seconds: float,
     screenshot: Path | None = None,
-    on_finish: Callable[[RunningInstrument, Measurement], object] = lambda _, __: None,
+    on_finish: Callable[[RunningInstrument, Measurement, dict[TimedStage, StageTimes]], object] = lambda *_: None,
 ) -> Iterator[None]:
-    """Wait for a wavefront and then `seconds`; save a screenshot, and pass on the last wavefront's measurement."""
+    """Wait for a wavefront and then `seconds`; save a screenshot.
+
+    `on_finish` receives the instrument, the last wavefront's measurement, and the times of all stages.
+    """
     shown = list[Measurement]()
 
     def note(measurement: Measurement) -> None:
@@ -162,4 +166,4 @@ def headless_steps(
     window.update_text()
     if screenshot is not None:
         write_picture(screenshot, window.grab())
-    on_finish(run.acquisition, shown[0])
+    on_finish(run.acquisition, shown[0], (yield from run.stage_times()))

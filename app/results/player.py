@@ -59,12 +59,7 @@ class Player:
             raise TypeError("a recording is played in this process")
         self._acquisition, self._asked = acquisition, self._first
         used = self._use(acquisition, self._first)
-        return (
-            used,
-            acquisition.submit(Instrument.set, "is_light_on", True),
-            acquisition.submit(Instrument.set, "is_sample_in", True),
-            acquisition.submit(Instrument.set, "is_running", True),
-        )
+        return (used, acquisition.set_light_on(True), acquisition.set_sample_in(True), acquisition.set_running(True))
 
     def take(self, _: Measurement) -> None:
         """Between two frames, set the calibration of the next if it is another.
@@ -124,8 +119,8 @@ class Player:
         recorded = self._recording.calibration(number)
         return recorded if self._change is None else self._change(recorded)
 
-    def _use(self, acquisition: RunningInstrument, number: int) -> Future[None]:
-        return acquisition.submit(lambda instrument: self._set(instrument, number))
+    def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
+        return acquisition.submit(self._set, number)
 
     def _set(self, instrument: Instrument, number: int) -> None:
         if self._camera is not None:

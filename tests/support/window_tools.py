@@ -100,6 +100,12 @@ def count_pixels(qtbot: QtBot, window: MainWindow) -> None:
     window.update_text()
 
 
+def acquisition_of(window: MainWindow) -> Acquisition:
+    """Return the acquisition of a window that runs it in this process."""
+    assert isinstance(window.controller.acquisition, Acquisition)
+    return window.controller.acquisition
+
+
 def press(qtbot: QtBot, widget: QWidget, key: Qt.Key) -> None:
     qtbot.keyClick(widget, key)  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
 

@@ -18,7 +18,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
-from app.acquisition.instrument import Condition, Instrument, ProcessState, Status
+from app.acquisition.instrument import Condition, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Heartbeat, Hello, NewFrame, SharedObject, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
@@ -29,7 +29,7 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.recorder import RecordingState
-from app.timing import StageTimes, TimedStage, Timings
+from app.timing import Timings
 
 _COUNT = itertools.count(1)  # of connections of this process
 _CLOSED = "the connection to the instrument is closed"
@@ -39,22 +39,9 @@ P = ParamSpec("P")
 
 _ALIVE_S = 1.0  # between two signs of life
 _SILENT_S = 2.0  # after which the instrument counts as frozen
-_TICK_MS = 50
+_TICK_MS = 250  # for what has a time limit
 _LINGER_MS = 200  # for the last messages
 _SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
-
-
-class _MergedTimings(Timings):
-    """Times of this process, with those of the instrument's stages."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.there: dict[TimedStage, StageTimes] = {}
-
-    def summary(self) -> dict[TimedStage, StageTimes]:
-        """Statistics of every stage."""
-        here = super().summary()
-        return here | self.there | {stage: times for stage, times in here.items() if times.count}
 
 
 def reach(
@@ -102,7 +89,7 @@ class Connection:
         number = next(_COUNT)
         self.name = f"{what} {os.getpid()}{f'.{number}' * (number > 1)}"
         self.address, self._takes_control = address, takes_control
-        self.timings = _MergedTimings()
+        self.timings = Timings()
         self._activity = Activity("starting the instrument", may_cancel=False)
         self._started: tuple[ProcessState, ...] = ()  # by the instrument
         self._is_gone = False  # whether the instrument's process is
@@ -111,7 +98,7 @@ class Connection:
         self._pending_commands = PendingCommands(lambda: self.error or RunError(_CLOSED))
         self._arrivals = Arrivals()
         self._pause_s = 0.0 if sinks else _SHOWN_S
-        self._frames = RemoteFrames(self._arrivals.find, (self._note, *sinks), self._pause_s)
+        self._frames = RemoteFrames(self._arrivals.find, sinks, self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
@@ -198,12 +185,25 @@ class Connection:
     def start(self) -> None:
         """Do nothing: the instrument runs."""
 
-    def submit(
-        self, request: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
-    ) -> Future[T]:
-        """Execute a request of the instrument between two frames, as `submit(Instrument.take_dark, 20)`."""
-        return self._send(request.__name__, *arguments, **named)
-
+    set_running = _sent(RunningInstrument.set_running)
+    set_exposure_s = _sent(RunningInstrument.set_exposure_s)
+    set_em_gain = _sent(RunningInstrument.set_em_gain)
+    set_amplifier = _sent(RunningInstrument.set_amplifier)
+    set_readout_speed = _sent(RunningInstrument.set_readout_speed)
+    set_current_a = _sent(RunningInstrument.set_current_a)
+    set_light_on = _sent(RunningInstrument.set_light_on)
+    set_sample_in = _sent(RunningInstrument.set_sample_in)
+    take_dark = _sent(RunningInstrument.take_dark)
+    take_reference = _sent(RunningInstrument.take_reference)
+    use = _sent(RunningInstrument.use)
+    auto_expose = _sent(RunningInstrument.auto_expose)
+    expose_without_sample = _sent(RunningInstrument.expose_without_sample)
+    check_background = _sent(RunningInstrument.check_background)
+    find_lattice = _sent(RunningInstrument.find_lattice)
+    survey_lattice = _sent(RunningInstrument.survey_lattice)
+    measure_linearity = _sent(RunningInstrument.measure_linearity)
+    change_settings = _sent(RunningInstrument.change_settings)
+    stage_times = _sent(RunningInstrument.stage_times)
     cancel = _sent(RunningInstrument.cancel)
     switch_light_off = _sent(RunningInstrument.switch_light_off)  # watching clients may, too
     set_area = _sent(RunningInstrument.set_area)
@@ -243,9 +243,6 @@ class Connection:
         future = self._pending_commands.add(request, arguments, named)
         self._wakeup.notify()
         return future
-
-    def _note(self, measurement: Measurement) -> None:
-        self.timings.note("to_result", measurement.latency_s)
 
     def _say(self, message: object) -> None:
         self._say_packed(Encoded(message).message())
@@ -336,7 +333,6 @@ class Connection:
         self.bench, self.status, self._activity = state.bench, state.status, state.activity
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
         self.clients, self.controller = state.clients, state.controller
-        self.timings.there = dict(state.timings)
         self._started, self._is_gone = state.processes, not state.is_alive
         if self._is_gone and self._ended is None:
             self._ended = state.ended_by or RunError("the instrument was shut down")

@@ -4,7 +4,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
@@ -17,7 +17,6 @@ from app.measurement.calibration import Calibration
 from app.measurement.measurement import FrameTotals, Measurement
 from app.measurement.routines import Cancelled, RoutineError
 from app.recording.recorder import RecordingState
-from app.timing import StageTimes, TimedStage
 from drivers import errors
 from reconstruction.errors import ReconstructionError
 from reconstruction.registration.gauss_newton import Propagated
@@ -53,13 +52,7 @@ class Command:
     request: str
     arguments: tuple[Any, ...] = ()
     named: Mapping[str, Any] = field(default_factory=dict)
-    may_light: bool = True  # False if the light was switched off after it, but before it was sent or heard
     until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
-
-
-def held_off(message: Any) -> Any:
-    """Return a message that precedes one to switch the light off: a command may not light."""
-    return replace(message, may_light=False) if isinstance(message, Command) else message
 
 
 class Heartbeat(Enum):
@@ -89,7 +82,6 @@ class State:
     kept: RecordingState | None
     ended_by: Exception | None = field(compare=False)
     is_alive: bool
-    timings: Mapping[TimedStage, StageTimes]
     clients: tuple[str, ...]
     controller: str  # name of the client that has control; empty: nobody
 

@@ -30,7 +30,7 @@ class PendingCommands:
         self._accepted: set[int] = set()
 
     def add(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
-        """Take a command and return its future. One to switch the light off holds for all that wait."""
+        """Take a command and return its future."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
@@ -44,8 +44,6 @@ class PendingCommands:
             return future
         with self._lock:
             if not self._is_closed:
-                if request == "switch_light_off":
-                    self._waiting = [replace(earlier, may_light=False) for earlier in self._waiting]
                 self._unanswered[command.number] = future, math.inf
                 self._waiting.append(command)
                 return future

@@ -4,11 +4,10 @@ Frames go into a shared ring, everything else through one ZeroMQ socket, whose m
 control; the others watch. A client that falls silent loses it; the measurement goes on.
 """
 
-import inspect
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -19,7 +18,6 @@ import zmq
 
 from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
-from app.acquisition.instrument import Instrument
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -30,43 +28,29 @@ from app.acquisition.remote.messages import (
     NewFrame,
     SharedObjects,
     State,
-    held_off,
     portable_error,
     watching,
 )
 from app.acquisition.remote.publisher import FramePublisher
+from app.acquisition.remote.requests import begin_request
 from app.acquisition.remote.serialization import Encoded, unpacked
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
-from app.recording.recorder import NO_LIMIT, RecordingLimit
-from app.timing import StageTimes, TimedStage
-from drivers.errors import BadValue, WrongState
+from drivers.errors import WrongState
 from drivers.interface import Devices
 
-_TICK_MS = 50
-_STATE_S = 0.1  # between two states that differ
+_STATE_S = 0.2  # between two states that differ; the longest wait for news
 _PULSE_S = 0.5  # between two that do not
+_LOG_S = 1.0  # between two looks at the size of the log
 _BEHIND_S = 1.5  # after which a client counts as not reading: only answers are sent to it
 _SILENT_S = 5.0  # after which a client counts as gone
-_STOPPED_S = 0.5  # between two turns, after which this process counts as stopped in between
+_STOPPED_S = 0.6  # between two turns, after which this process counts as stopped in between
 _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
 
-_REQUESTS: dict[str, Callable[..., Any]] = {  # that clients may send
-    each.__name__: each
-    for each in (
-        *(Instrument.take_dark, Instrument.take_reference, Instrument.use, Instrument.set),
-        *(Instrument.auto_expose, Instrument.expose_without_sample, Instrument.check_background),
-        *(Instrument.find_lattice, Instrument.survey_lattice, Instrument.change_settings),
-        Instrument.measure_linearity,
-        *(Acquisition.set_area, Acquisition.show_file, Acquisition.start_recording, Acquisition.limit_recording),
-        *(Acquisition.stop_recording, Acquisition.keep_recent, Acquisition.cancel),
-        *(Acquisition.free_minutes, Acquisition.switch_light_off),
-    )
-}
-_FOR_ALL = {"take_control", "switch_light_off", "free_minutes"}
+_FOR_ALL = {"take_control", "switch_light_off", "free_minutes", "stage_times"}
 _NEVER_TOO_LATE = {"switch_light_off", "shut_down"}  # they make the instrument safe
 
 
@@ -91,20 +75,13 @@ class Server:
         """Open the socket of the address; `RunError` if that fails."""
         self._wakeup, self._shared_objects = WakeupPipe(), SharedObjects()
         self._frames = FramePublisher(file_of(address.name, "ring"), self._shared_objects, self._wakeup.notify)
-        self.acquisition = Acquisition(
-            bench,
-            open_devices,
-            sinks=(self._frames.take,),
-            on_show=self._frames.show,
-            hear_requests=self._hear_requests,
-        )
+        self.acquisition = Acquisition(bench, open_devices, sinks=(self._frames.take,), on_show=self._frames.show)
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
         self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
         self._state: State | None = None
-        self._sent_s, self._timings_s = -math.inf, -math.inf
+        self._sent_s = self._state_due_s = self._log_due_s = -math.inf
         self._heard_s = math.inf  # when messages were heard last
-        self._timings: dict[TimedStage, StageTimes] = {}
         self._announced_frame = self._frames.newest
         self._is_over = False
         self._fault: Exception | None = None  # of this end
@@ -141,7 +118,7 @@ class Server:
                 begin(self.acquisition)
                 self.address.announce()
                 while self.acquisition.is_alive and not self._is_over:
-                    poller.poll(_TICK_MS)
+                    poller.poll(round(1e3 * _STATE_S))
                     self._wakeup.clear()
                     self._turn()
             except Exception as error:
@@ -156,13 +133,12 @@ class Server:
         self._wakeup.notify()
 
     def _turn(self) -> None:
-        arrived = self._arrived([])
         now_s = time.monotonic()
-        if now_s > self._heard_s + _STOPPED_S:
-            time.sleep(_GATHERING_S)
-            arrived = self._arrived(arrived)
-        for identity, message in arrived:
-            self._hear(identity, message, now_s)
+        with self.acquisition.holding_commands():  # until all are heard: one of them may switch the light off
+            if now_s > self._heard_s + _STOPPED_S:
+                time.sleep(_GATHERING_S)
+            for identity, message in self._arrived():
+                self._hear(identity, message, now_s)
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
@@ -172,20 +148,14 @@ class Server:
         if (new_frame := self._frames.newest) != self._announced_frame:
             self._announced_frame = new_frame
             self._tell_all(new_frame)
-        if now_s > self._sent_s + _STATE_S:
+        if now_s > self._state_due_s:
             self._tell_state()
+        if now_s > self._log_due_s:
+            self._log_due_s = now_s + _LOG_S
+            bound_log(self.address.name)
 
-    def _hear_requests(self) -> None:
-        """Wait, if this process was stopped, until all that has arrived since is heard; called by the worker.
-
-        A client may have switched the light off, and a command that was here before must not light it.
-        """
-        while time.monotonic() > self._heard_s + _STOPPED_S and not self.acquisition.is_closing:
-            time.sleep(_TICK_MS / 1e3)
-
-    def _arrived(self, before: list[tuple[bytes, Any]]) -> list[tuple[bytes, Any]]:
-        """Add the arrived messages with their senders; a command before one to switch off may not light."""
-        arrived = before
+    def _arrived(self) -> Iterator[tuple[bytes, Any]]:
+        """Yield the messages that have arrived, with their senders."""
         while self._socket.poll(0):
             identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
             if key != self._key:
@@ -194,10 +164,7 @@ class Server:
                 message = unpacked(body)
             except RunError:  # of another version
                 continue
-            if isinstance(message, Command) and message.request == "switch_light_off":
-                arrived = [(who, held_off(earlier)) for who, earlier in arrived]
-            arrived.append((identity, message))
-        return arrived
+            yield identity, message
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         if isinstance(message, Hello):
@@ -255,35 +222,14 @@ class Server:
         if name == "shut_down":
             self._is_over = True  # after this turn, in which it is answered
             return done()
-        if (request := _REQUESTS.get(name)) is None:
-            raise BadValue(f"the instrument knows no command {name}")
-        try:
-            bound = inspect.signature(request).bind(None, *command.arguments, **command.named)
-        except TypeError as error:
-            raise BadValue(f"{name}: {error}") from error
-        limit = bound.arguments.get("limit", NO_LIMIT)
-        if not isinstance(limit, RecordingLimit):
-            raise BadValue(f"{name}: {limit!r:.60} is no limit of a recording")
-        if name not in vars(Acquisition):
-            return self.acquisition.submit(self._executed, request, command)
-        future: Future[Any] = request(self.acquisition, *command.arguments, **command.named)
-        return future
-
-    def _executed(self, instrument: Instrument, request: Callable[..., Any], command: Command) -> Any:
-        """Execute a command of the instrument; called by the worker."""
-        if not command.may_light:
-            self.acquisition.keep_light_off()
-        try:
-            return request(instrument, *command.arguments, **command.named)
-        except (TypeError, AttributeError) as error:  # of a value from outside
-            raise BadValue(f"{command.request}: {error}") from error
+        return begin_request(command, self.acquisition)
 
     def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
         failure = future.exception()
         result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
         self._frames.write()  # what was measured before the command was done
         count = self._frames.newest.count
-        self._tell_state(has_new_timings=False)  # they would delay it by milliseconds
+        self._tell_state()
         client = self._clients.get(identity)
         if client is None or client.is_behind:  # it gets no news
             self._tell(identity, self._present())
@@ -306,18 +252,14 @@ class Server:
             kept=acquisition.kept,
             ended_by=None if fault is None else portable_error(fault),
             is_alive=not is_over,
-            timings=self._timings,
             clients=tuple(client.name for client in self._clients.values()),
             controller="" if controller is None else controller.name,
         )
 
-    def _tell_state(self, *, is_over: bool = False, has_new_timings: bool = True) -> None:
+    def _tell_state(self, *, is_over: bool = False) -> None:
         """Send the state to all clients if it differs from the last one, or that was long ago."""
-        now_s = time.monotonic()
-        if has_new_timings and now_s > self._timings_s + _PULSE_S:
-            self._timings, self._timings_s = self.acquisition.timings.summary(), now_s
-            bound_log(self.address.name)
-        state = self._present(is_over=is_over)
+        state, now_s = self._present(is_over=is_over), time.monotonic()
+        self._state_due_s = now_s + _STATE_S
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)

@@ -8,6 +8,7 @@ from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QCo
 
 from app.acquisition.dark_reference_store import Validity
 from app.acquisition.instrument import Status
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
@@ -22,28 +23,30 @@ from drivers.interface import Range
 
 _GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
 _DIM = 0.3  # share of full scale below which noise matters
-_CHOICES = {  # tool tips by the names of the requests
-    "amplifier": "Output amplifier; a change restarts the camera",
-    "readout_speed": "Readout speed: faster is noisier; a change restarts the camera",
-    "mask": "Mask in front of the light; a new mask needs a new reference (R)",
-}
+_REFINE = "reconstruction.refine"
 
 
 class ControlsPanel(Panel):
     """Emits the user's requests and shows the status of the instrument."""
 
     title, dock_area = "Controls", "strip"
-    requested = pyqtSignal(str, object)  # name of a setting or routine, and the wanted value
+    requested = pyqtSignal(str, object)  # name of a routine, and its argument
+    wanted = pyqtSignal(object, object)  # method that changes a device, or name of another setting, and the value
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._is_running, self._has_devices = False, True
         self._make_devices()
         self._make_calibration()
-        self.choices = {name: _choice(tip, self._ask(name)) for name, tip in _CHOICES.items()}
+        about = "Output amplifier; a change restarts the camera"
+        self.choices = {"amplifier": _choice(about, self._want(RunningInstrument.set_amplifier))}
+        about = "Readout speed: faster is noisier; a change restarts the camera"
+        self.choices["readout_speed"] = _choice(about, self._want(RunningInstrument.set_readout_speed))
+        about = "Mask in front of the light; a new mask needs a new reference (R)"
+        self.choices["mask"] = _choice(about, self._want("mask"))
         amplifier, speed, mask = self.choices.values()
         about = "Correct systematic errors by a simulation of your bench; the status line has the correction's age (F)"
-        self.refine = Toggle("Refine", about, self._ask("reconstruction.refine"))
+        self.refine = Toggle("Refine", about, self._want(_REFINE))
         calibration: list[Item] = [self.lattice]
         for step in (self.auto_exposure, self.dark, self.reference):
             calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
@@ -68,7 +71,9 @@ class ControlsPanel(Panel):
 
     def _make_devices(self) -> None:
         about = "Start or stop taking frames (Space)"
-        self.start = Button("Start", about, lambda: self.requested.emit("is_running", not self._is_running))
+        self.start = Button(
+            "Start", about, lambda: self.wanted.emit(RunningInstrument.set_running, not self._is_running)
+        )
         self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP_PX)
         about = "Choose the sensor region and the binning (P)"
         self.sensor_region = Button("Region\N{HORIZONTAL ELLIPSIS}", about, self._ask("sensor_region"))
@@ -76,8 +81,9 @@ class ControlsPanel(Panel):
         about = "Electron-multiplying gain: more signal above the read noise"
         self.em_gain = NumberField(name="Gain", decimals=1, tool_tip=about)
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
-        for name, field in (("exposure_s", self.exposure), ("em_gain", self.em_gain), ("current_a", self.current)):
-            field.entered.connect(self._ask(name))
+        self.exposure.entered.connect(self._want(RunningInstrument.set_exposure_s))
+        self.em_gain.entered.connect(self._want(RunningInstrument.set_em_gain))
+        self.current.entered.connect(self._want(RunningInstrument.set_current_a))
         self.light = _LightButton("Light\noff", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(20, 20))
@@ -85,7 +91,9 @@ class ControlsPanel(Panel):
         self.light.ensurePolished()
         self.light.setMinimumHeight(self.light.sizeHint().height())  # of two lines, so that nothing moves
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
-        self.sample = Toggle("Sample out", "Move the sample into or out of the beam (S)", self._ask("is_sample_in"))
+        self.sample = Toggle(
+            "Sample out", "Move the sample into or out of the beam (S)", self._want(RunningInstrument.set_sample_in)
+        )
 
     def _make_calibration(self) -> None:
         self.frames = NumberField(name="Frames", tool_tip="Number of frames averaged into a dark or a reference")
@@ -121,6 +129,9 @@ class ControlsPanel(Panel):
 
     def _ask(self, name: str) -> Callable[[object], object]:
         return partial(self.requested.emit, name)
+
+    def _want(self, setting: object) -> Callable[[object], object]:
+        return partial(self.wanted.emit, setting)
 
     def _ask_average(self, name: str) -> None:
         if self.frames.commit():  # the button does not take the focus from it
@@ -162,31 +173,32 @@ class ControlsPanel(Panel):
 
     def _show_fields(self, status: Status) -> None:
         allowed, wanted = status.capabilities, self.shown.wanted
-        for name, field, value, interval in (
-            ("exposure_s", self.exposure, status.exposure_s, allowed.exposure_range_s),
-            ("em_gain", self.em_gain, status.em_gain, allowed.em_gain_range),
-            ("current_a", self.current, status.current_a, status.current_range_a),
+        for setter, field, value, interval in (
+            (RunningInstrument.set_exposure_s, self.exposure, status.exposure_s, allowed.exposure_range_s),
+            (RunningInstrument.set_em_gain, self.em_gain, status.em_gain, allowed.em_gain_range),
+            (RunningInstrument.set_current_a, self.current, status.current_a, status.current_range_a),
         ):
-            mark_wanted(field, is_wanted=name in wanted)
+            mark_wanted(field, is_wanted=setter in wanted)
             if self.shown.is_settled or not field.hasFocus():
-                field.show_value(wanted.get(name, value) or 0, interval)
+                field.show_value(wanted.get(setter, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
         self.em_gain.setEnabled(allowed.em_gain_range.maximum > allowed.em_gain_range.minimum)
 
     def _show_choices(self, status: Status) -> None:
         allowed, wanted = status.capabilities, self.shown.wanted
-        for name, values, chosen in (
-            ("amplifier", allowed.amplifiers, status.amplifier),
-            ("readout_speed", allowed.readout_speeds, status.readout_speed),
-            ("mask", status.masks, status.mask),
+        amplifier, speed, mask = self.choices.values()
+        for setting, choice, values, chosen in (
+            (RunningInstrument.set_amplifier, amplifier, allowed.amplifiers, status.amplifier),
+            (RunningInstrument.set_readout_speed, speed, allowed.readout_speeds, status.readout_speed),
+            ("mask", mask, status.masks, status.mask),
         ):
-            mark_wanted(self.choices[name], is_wanted=name in wanted)
-            self.choices[name].show_choice(values, wanted.get(name, chosen))
+            mark_wanted(choice, is_wanted=setting in wanted)
+            choice.show_choice(values, wanted.get(setting, chosen))
 
     def _show_switches(self, status: Status) -> None:
         wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
-        self.refine.setChecked(wanted.get("reconstruction.refine", refine))
-        mark_wanted(self.refine, is_wanted="reconstruction.refine" in wanted)
+        self.refine.setChecked(wanted.get(_REFINE, refine))
+        mark_wanted(self.refine, is_wanted=_REFINE in wanted)
         # Of a manual light only what a person has said is known.
         lights = ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
         if not self._has_devices:

@@ -44,7 +44,7 @@ class DisplayState(QObject):
         super().__init__(parent)
         self.status: Status | None = None
         self.reconstruction: ReconstructionSettings | None = None  # settings of the wavefronts
-        self.wanted: Mapping[str, Any] = {}  # settings that are not in force yet, by their name in the controls
+        self.wanted: Mapping[Any, Any] = {}  # settings that are not in force yet, by what changes them
         self.is_settled = True  # whether all commands are finished
         self.measurement: Measurement | None = None
         self.statistics: FrameStatistics | None = None  # of a recent frame

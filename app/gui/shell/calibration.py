@@ -6,7 +6,6 @@ from functools import partial
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
-from app.acquisition.instrument import DeviceSetting, Instrument
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller, SettingsControl
@@ -64,9 +63,7 @@ class CalibrationGuide(QDialog):
         controller.connected.connect(self._restart)
 
     def expose(self) -> None:
-        self._controller.send(
-            lambda to: to.submit(Instrument.auto_expose), lambda found: self._messages.inform(exposure_found(found))
-        )
+        self._controller.send(lambda to: to.auto_expose(), lambda found: self._messages.inform(exposure_found(found)))
 
     def find_lattice(self) -> None:
         """Find the lenslets in the reference, and ask whether to use that lattice."""
@@ -75,14 +72,14 @@ class CalibrationGuide(QDialog):
             self._camera.propose(survey)
             self._messages.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
 
-        self._controller.send(lambda to: to.submit(Instrument.survey_lattice), propose)
+        self._controller.send(lambda to: to.survey_lattice(), propose)
 
     def check_background(self) -> None:
 
         def show(check: BackgroundCheck) -> None:
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
-        self._controller.send(lambda to: to.submit(Instrument.check_background), show)
+        self._controller.send(lambda to: to.check_background(), show)
 
     def measure_linearity(self) -> None:
         """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
@@ -91,7 +88,7 @@ class CalibrationGuide(QDialog):
             use = partial(self._use, "linearity", found.linearity, "frames are corrected")
             self._messages.ask(linearity_found(found), use)
 
-        self._controller.send(lambda to: to.submit(Instrument.measure_linearity), propose)
+        self._controller.send(lambda to: to.measure_linearity(), propose)
 
     def use_lattice(self, lattice: Lattice) -> None:
         self._use("lattice", lattice, "the lattice is in use")
@@ -147,15 +144,12 @@ class CalibrationGuide(QDialog):
             return
         step = self._left[0]
         if (request := by_hand(step, status)) is not None:
-            text, setting, value = request
-            self._ask(text, "Done", lambda: self._note(setting, value))
+            text, note = request
+            self._ask(text, "Done", lambda: self._controller.send(note, lambda _: self._next(), self._fail))
             return
         self._mark(step, "running", "running \N{HORIZONTAL ELLIPSIS}")
         self._show_question("", "", "Cancel", self.reject)
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
-
-    def _note(self, setting: DeviceSetting, value: bool) -> None:
-        self._controller.send(lambda to: to.submit(Instrument.set, setting, value), lambda _: self._next(), self._fail)
 
     def _finish(self, result: object) -> None:
         if not self._is_running:

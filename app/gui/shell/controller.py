@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
-from app.acquisition.instrument import Instrument, ProcessState, Status
+from app.acquisition.instrument import ProcessState, Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection
@@ -26,10 +26,11 @@ from app.measurement.routines import Cancelled
 T = TypeVar("T")
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
-_MASK, _BENCH = "mask", "bench"  # kind of the commands that change registration, reconstruction, lattice or mask
-_MODES = {"amplifier", "readout_speed"}  # their commands return what else has changed
+Setter = Callable[..., Future[Any]]  # method of `RunningInstrument` that changes a setting of a device
+_MASK = "mask"
+_MODES = {RunningInstrument.set_amplifier, RunningInstrument.set_readout_speed}  # they return what else has changed
 _SILENT_S = 5.0  # for the end of a process that does not answer
-_FRAMES_MS = 500  # between two of them: they stop the camera
+_FRAMES_MS = 500  # between two changes of the bench: they stop the camera
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
 _OVERTAKEN = "frames overtaken: replaced by the instrument before, or while, this window read them"
 _STARTS = "the instrument is starting: wait until it is reached"
@@ -182,10 +183,11 @@ class Controller(QObject):
 
         `then` receives the result, `otherwise` an error.
         """
-        if self.acquisition is None:
-            return None
+        return None if self.acquisition is None else self.follow(submit(self.acquisition), then, otherwise)
+
+    def follow(self, future: Future[T], then: Then, otherwise: Otherwise) -> Future[T]:
+        """Pass on the result of a command that was sent; see `send`."""
         self.messages.clear_notice()
-        future = submit(self.acquisition)
         self._pending.append((future, then, otherwise))
         return future
 
@@ -270,67 +272,72 @@ class Controller(QObject):
 
 
 class SettingsControl:
-    """Sends what is wanted, one command of each kind at a time.
+    """Sends what is wanted: one command at a time for each setting of a device, and one for the bench.
 
-    Of the commands that come meanwhile, the last of each kind is kept; changes of the bench are joined into one.
+    Of the values that come meanwhile, the last is sent next; changes of the bench are joined into one command.
     """
 
     def __init__(self, controller: Controller) -> None:
         self._controller = controller
-        self._sent: set[str] = set()  # kinds of the commands under way
-        self._next: dict[str, Then] = {}  # kinds of those that follow, and what receives their results
+        self._sent: dict[Setter, Any] = {}  # values under way
         self._changes: list[tuple[str, Any]] = []  # of the next command of the bench
-        self.wanted: dict[str, Any] = {}  # value of each setting that is not in force yet, by its name in the controls
+        self._then: Then = None  # receives its result
+        self._is_changing = False  # whether a command of the bench is under way
+        self.wanted: dict[str | Setter, Any] = {}  # values that are not in force yet
         controller.connected.connect(self._restart)
 
     def _restart(self) -> None:
-        for each in (self._sent, self._next, self.wanted, self._changes):
+        for each in (self._sent, self.wanted, self._changes):
             each.clear()
+        self._is_changing = False
 
-    def want(self, name: str, value: Any) -> None:
-        """Change a setting of a device, or one of the bench by its name "section.key"."""
-        self.wanted[name] = value
-        if _kind(name) == _BENCH:
-            self.change((name, value))
+    def want(self, setting: str | Setter, value: Any) -> None:
+        """Change a setting of a device by its setter, the mask, or a setting of the bench by its name "section.key"."""
+        self.wanted[setting] = value
+        if isinstance(setting, str):
+            self.change((setting, value))
+        elif setting not in self._sent:
+            self._send(setting)
+
+    def _send(self, setter: Setter) -> None:
+        value = self._sent[setter] = self.wanted[setter]
+        then = self._controller.messages.warn if setter in _MODES else None
+        future = getattr(self._controller.acquisition, setter.__name__)(value)
+        self._controller.follow(future, partial(self._end, setter, then), partial(self._end, setter, None))
+
+    def _end(self, setter: Setter, then: Then, result: object) -> None:
+        if then is not None:
+            then(result)
+        if self.wanted[setter] != self._sent.pop(setter):
+            self._send(setter)
         else:
-            self._keep(name, self._controller.messages.warn if name in _MODES else None)
+            del self.wanted[setter]
 
     def change(self, *changes: tuple[str, Any], then: Then = None) -> None:
         """Change mask or settings of the open bench by `Instrument.change_settings`; devices stay open."""
         self._changes += changes
-        self._keep(_BENCH, then or self._next.get(_BENCH))
+        self._then = then or self._then
+        if not self._is_changing:
+            self._send_changes()
 
-    def _keep(self, kind: str, then: Then) -> None:
-        self._next[kind] = then
-        if kind not in self._sent:
-            self._send_next(kind)
-
-    def _send_next(self, kind: str) -> None:
-        self._sent.discard(kind)
-        if kind not in self._next:
-            self.wanted = {name: value for name, value in self.wanted.items() if _kind(name) != kind}
+    def _send_changes(self) -> None:
+        """Send one command for all changes, so that the reconstruction is prepared once."""
+        self._is_changing = bool(self._changes)
+        if not self._is_changing:
+            self.wanted = {setting: value for setting, value in self.wanted.items() if not isinstance(setting, str)}
             return
-        then = self._next.pop(kind)
-        command: tuple[Any, ...]
-        if kind == _BENCH:  # one command for all changes, so that the reconstruction is prepared once
-            changes, self._changes = self._changes, []
-            of_bench = [change for change in changes if change[0] != _MASK]
-            command = Instrument.change_settings, of_bench, dict(changes).get(_MASK)
-        else:
-            command = Instrument.set, kind, self.wanted[kind]
-        self._sent.add(kind)
+        of_bench, mask = [change for change in self._changes if change[0] != _MASK], dict(self._changes).get(_MASK)
+        then, self._changes, self._then = self._then, [], None
         self._controller.send(
-            lambda to: to.submit(*command), partial(self._end, kind, then), partial(self._end, kind, None)
+            lambda to: to.change_settings(of_bench, mask),
+            partial(self._end_changes, then),
+            partial(self._end_changes, None),
         )
 
-    def _end(self, kind: str, then: Then, result: object) -> None:
+    def _end_changes(self, then: Then, result: object) -> None:
         if then is not None:
             then(result)
-        if kind == _BENCH and kind in self._next:
-            QTimer.singleShot(_FRAMES_MS, partial(self._send_next, kind))
+        if self._changes:
+            QTimer.singleShot(_FRAMES_MS, self._send_changes)
         else:
-            self._send_next(kind)
-
-
-def _kind(name: str) -> str:
-    return _BENCH if "." in name or name == _MASK else name
+            self._send_changes()

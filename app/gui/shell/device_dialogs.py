@@ -1,12 +1,14 @@
 """Dialogs of the devices: sensor region and binning, and named presets."""
 
 import json
+from typing import Any
 
 from PyQt6.QtCore import QSettings
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
 
 from app.acquisition.instrument import Status
+from app.acquisition.running_instrument import RunningInstrument
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.status_text import area_taken
@@ -25,7 +27,12 @@ _SIDES = {
 }
 _PRESETS_KEY = "presets/devices"  # key of the saved state
 _ABOUT_PRESETS = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
-_PRESET_SETTINGS = {"exposure_s": int | float, "em_gain": int | float, "current_a": int | float, "mask": str}
+_PRESET_SETTINGS: dict[str, tuple[object, Any]] = {  # what changes them, and the kind of their values
+    "exposure_s": (RunningInstrument.set_exposure_s, int | float),
+    "em_gain": (RunningInstrument.set_em_gain, int | float),
+    "current_a": (RunningInstrument.set_current_a, int | float),
+    "mask": ("mask", str),
+}
 
 
 class SensorRegionDialog(QDialog):
@@ -190,11 +197,11 @@ class DevicePresets(QDialog):
         if status is None or item is None:
             return
         values = self._presets()[item.text()]
-        for name in _PRESET_SETTINGS:
+        for name, (setting, _) in _PRESET_SETTINGS.items():
             if values.get(name) not in {None, getattr(status, name)}:  # a manual light takes no current
-                self._controls.requested.emit(name, values[name])
+                self._controls.wanted.emit(setting, values[name])
 
 
 def _can_be_set(values: dict[str, object]) -> bool:
     """Return True if the values are of the right kinds; None stands for what a device does not have."""
-    return all(isinstance(values.get(name), kind | None) for name, kind in _PRESET_SETTINGS.items())
+    return all(isinstance(values.get(name), kind | None) for name, (_, kind) in _PRESET_SETTINGS.items())

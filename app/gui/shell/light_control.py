@@ -5,7 +5,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
@@ -80,7 +79,7 @@ class LightControl:
             self._ask_by_hand(is_on=is_on)
         elif is_on and not is_busy and not is_resting:
             self.is_kept_off = False
-            self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", True))
+            self._controller.send(lambda to: to.set_light_on(True))
         else:
             self.is_kept_off, self._rests_until_s = True, now_s + _REST_S
             self._switching_off = acquisition.switch_light_off()
@@ -117,7 +116,7 @@ class LightControl:
         """Ask a person to switch a manual light, and note it when that is confirmed."""
         self._messages.ask(
             f"switch the light {'on' if is_on else 'off'} by hand",
-            lambda: self._controller.send(lambda to: to.submit(Instrument.set, "is_light_on", is_on), lambda _: then()),
+            lambda: self._controller.send(lambda to: to.set_light_on(is_on), lambda _: then()),
             "Done",
             "Not now",
         )

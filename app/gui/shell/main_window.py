@@ -123,7 +123,8 @@ class MainWindow(BaseWindow):
             "auto_exposure": lambda _: self.guide.expose(),
             "sensor_region": lambda _: self.region_dialog.begin(),
         }
-        self.controls.requested.connect(lambda name, value: acts.get(name, partial(self.settings.want, name))(value))
+        self.controls.requested.connect(lambda name, value: acts[name](value))
+        self.controls.wanted.connect(self.settings.want)
         self.shown.exclusion_requested.connect(lambda *which: self.settings.change(("lenslets", which)))
         self.messages.cancel_requested.connect(self.panels.camera.put_tool_away)
         self.messages.reconnect_requested.connect(self._reconnect)

@@ -9,7 +9,7 @@ import pytest
 
 from app.acquisition.command_queue import CommandQueue
 from app.acquisition.instrument import Instrument
-from drivers.interface import BadValue, Disconnected
+from drivers.interface import BadValue, Disconnected, OffCount
 
 INSTRUMENT = cast("Instrument", object())  # only passed on by the queue
 
@@ -21,7 +21,7 @@ def _fail_with(error: Exception) -> NoReturn:
 @pytest.mark.parametrize("error", [None, BadValue("no such exposure")])
 def test_afterwards_runs_before_future_resolves(error: Exception | None) -> None:
     was_told: list[bool] = []
-    commands = CommandQueue(lambda _: was_told.append(future.done()))
+    commands = CommandQueue(OffCount(), lambda _: was_told.append(future.done()))
     future: Future[int] = commands.submit(lambda _: 7 if error is None else _fail_with(error))
     execute = commands.next()
     assert execute is not None
@@ -36,7 +36,7 @@ def test_afterwards_runs_before_future_resolves(error: Exception | None) -> None
 @pytest.mark.parametrize("fails", ["command", "afterwards"])
 def test_fatal_error_reaches_waiting_future(fails: str) -> None:
     gone = Disconnected("the camera was unplugged")
-    commands = CommandQueue(lambda _: _fail_with(gone))
+    commands = CommandQueue(OffCount(), lambda _: _fail_with(gone))
     future = commands.submit(lambda _: _fail_with(gone) if fails == "command" else 7)
     execute = commands.next()
     assert execute is not None

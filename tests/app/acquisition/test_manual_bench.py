@@ -13,7 +13,6 @@ from support.manual_bench import MANUAL, Person
 from support.patience import HANG_S
 from support.stage_contract import StageContract
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.commands.measure import measure_bench
@@ -168,9 +167,9 @@ def test_window_starts_without_reference(camera: FakeCamera) -> None:
     assert acquisition.submit(lambda instrument: instrument.darks.average is not None).result(HANG_S)
     acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(HANG_S)
     with pytest.raises(WrongState, match="take the sample out"):
-        acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
+        acquisition.take_reference(3).result(HANG_S)
     assert acquisition.is_alive
     acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(HANG_S)
-    acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
+    acquisition.take_reference(3).result(HANG_S)
     acquisition.close()
     assert acquisition.error is None

@@ -127,7 +127,7 @@ def test_silence_of_the_worker_switches_the_light_off_and_the_status_says_so(ben
     wait_until(lambda: acquisition.status is not None and acquisition.status.warning == why)
     assert acquisition.status is not None
     assert not acquisition.status.is_light_on
-    acquisition.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+    acquisition.set_light_on(True).result(HANG_S)
     assert lamp.is_lit
     assert acquisition.status.warning != why
     acquisition.close()

@@ -87,7 +87,7 @@ def acquisition() -> Iterator[Acquisition]:
     """A running fake camera."""
     acquisition = Acquisition(BENCH, opener(FakeCamera()))
     acquisition.start()
-    acquisition.submit(Instrument.set, "is_running", True).result(HANG_S)
+    acquisition.set_running(True).result(HANG_S)
     yield acquisition
     acquisition.close()
 

@@ -67,7 +67,7 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
         show(*arguments)
 
     monkeypatch.setattr(live.acquisition._path, "show", note)
-    found = live.acquisition.submit(Instrument.auto_expose).result(HANG_S)
+    found = live.acquisition.auto_expose().result(HANG_S)
     status = live.status
     assert "finding the exposure" in texts
     assert found.fill == pytest.approx(0.7, abs=0.05)
@@ -81,7 +81,7 @@ def test_auto_expose_command_reaches_target_and_restores_state(live: Live, monke
 def test_auto_exposure_can_be_cancelled(quick_toml: Path) -> None:
     live = Live(quick_toml, "camera.readout_speed=2", "camera.exposure_s=9.0")
     try:
-        future = live.acquisition.submit(Instrument.auto_expose)
+        future = live.acquisition.auto_expose()
         wait_until(lambda: live.acquisition.activity.text.startswith("finding"))
         time.sleep(0.3)
         live.acquisition.cancel()
@@ -94,15 +94,15 @@ def test_auto_exposure_can_be_cancelled(quick_toml: Path) -> None:
 
 def test_background_check_command_needs_a_matching_dark(live: Live) -> None:
     with pytest.raises(RoutineError, match="no dark yet"):
-        live.acquisition.submit(Instrument.check_background).result(HANG_S)
+        live.acquisition.check_background().result(HANG_S)
     started(live)
-    check = live.acquisition.submit(Instrument.check_background).result(HANG_S)
+    check = live.acquisition.check_background().result(HANG_S)
     assert check.is_good
     assert "still good" in check.verdict
     assert (live.status.is_light_on, live.status.is_running) == (True, True)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(0.05))
     with pytest.raises(RoutineError, match=r"the dark was taken at 20.0 ms: take it again"):
-        live.acquisition.submit(Instrument.check_background).result(HANG_S)
+        live.acquisition.check_background().result(HANG_S)
 
 
 def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +115,7 @@ def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypa
     monkeypatch.setattr("app.acquisition.instrument.auto_expose", watched)
     live.do(lambda instrument: instrument.devices.camera.set_exposure(1.0))
     live.do(lambda instrument: instrument.devices.stage.set_sample_in(True))
-    live.acquisition.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+    live.acquisition.set_light_on(True).result(HANG_S)
     for step in (EXPOSURE, DARK, REFERENCE):
         step.begin(live.acquisition, 4).result(HANG_S)
     status = live.status
@@ -177,7 +177,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     assert first is not None
     live.do(lambda instrument: instrument.change_settings((), "circle"))
     assert live.status.reference.validity == "doubtful"  # none yet: that of the square stays in use
-    live.acquisition.submit(Instrument.take_reference, 4).result(HANG_S)
+    live.acquisition.take_reference(4).result(HANG_S)
     assert live.status.warning == ""
     live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.warning == ""
@@ -185,8 +185,8 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
     whole = live.status.area
     live.acquisition.set_area(SensorArea(Region(0, 0, 168, 240), 1)).result(HANG_S)
-    live.acquisition.submit(Instrument.take_dark, 2).result(HANG_S)
-    live.acquisition.submit(Instrument.take_reference, 4).result(HANG_S)
+    live.acquisition.take_dark(2).result(HANG_S)
+    live.acquisition.take_reference(4).result(HANG_S)
     assert live.status.warning == ""
     live.acquisition.set_area(whole).result(HANG_S)
     assert live.status.warning == ""
@@ -197,7 +197,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
 def test_refused_mask_leaves_the_settings(live: Live) -> None:
     started(live)
     before = live.status.bench
-    change = live.acquisition.submit(Instrument.change_settings, [("reconstruction.pupil_modes", 10)], "no mask")
+    change = live.acquisition.change_settings([("reconstruction.pupil_modes", 10)], "no mask")
     with pytest.raises(BadValue, match="there is no mask 'no mask'"):
         change.result(HANG_S)
     assert live.status.bench == before
@@ -209,10 +209,10 @@ def test_recorded_dark_and_reference_are_used(live: Live) -> None:
     assert kept is not None
     assert kept.dark is not None
     recorded = replace(kept, dark=replace(kept.dark, frames=7), reference=replace(kept.reference, frames=9))
-    live.acquisition.submit(Instrument.use, recorded).result(HANG_S)
+    live.acquisition.use(recorded).result(HANG_S)
     used = live.acquisition.submit(lambda instrument: instrument.calibration).result(HANG_S)
     assert used is not None
     assert (used.dark, used.reference) == (recorded.dark, recorded.reference)
     assert [live.status.dark.note, live.status.reference.note] == ["as recorded"] * 2
-    live.acquisition.submit(Instrument.use, replace(recorded, dark=None)).result(HANG_S)
+    live.acquisition.use(replace(recorded, dark=None)).result(HANG_S)
     assert live.status.dark.validity == "missing"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from support.patience import HANG_S, own_time, wait_until
 from support.running import Running, is_dark
 from support.simulated_scene import lose_frames, stall, unplug
 
-from app.acquisition.instrument import Instrument, Status
+from app.acquisition.instrument import Instrument
 from app.bench.config import load_bench
 from app.errors import InputError
 from app.measurement.measurement import SKIPPED, Measurement
@@ -44,32 +43,8 @@ def test_every_step_of_a_routine_is_a_sign_of_life(running: Running, monkeypatch
     monkeypatch.setattr(SimulatedLight, "keep_alive", lambda _, within_s: promised.append(within_s))
     running.begin()
     promised.clear()
-    running.acquisition.submit(Instrument.take_dark, 10).result(HANG_S)
+    running.acquisition.take_dark(10).result(HANG_S)
     assert promised.count(10.0) >= 10
-
-
-def test_status_does_not_say_on_when_the_light_went_off_meanwhile(
-    running: Running, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    running.begin()
-    acquisition, query = running.acquisition, Instrument.status
-    may_end, queried = threading.Event(), list[Status]()
-
-    def query_slowly(instrument: Instrument) -> Status:
-        if queried:  # what the first one said stays
-            may_end.wait(HANG_S)
-        queried.append(query(instrument))
-        if len(queried) == 1:
-            acquisition.switch_light_off().result(HANG_S)
-        return queried[-1]
-
-    monkeypatch.setattr(Instrument, "status", query_slowly)
-    wait_until(lambda: len(queried) == 1 and acquisition.status == replace(queried[0], is_light_on=False))
-    wait_until(lambda: not acquisition._commands.is_empty or acquisition.status is not None)
-    assert queried[0].is_light_on
-    assert acquisition.status is not None
-    assert not acquisition.status.is_light_on
-    may_end.set()
 
 
 def test_command_runs_between_frames_and_returns_result(running: Running) -> None:
@@ -84,7 +59,7 @@ def test_command_runs_between_frames_and_returns_result(running: Running) -> Non
 
 def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.begin()
-    long = running.acquisition.submit(Instrument.take_dark, 10_000)
+    long = running.acquisition.take_dark(10_000)
     wait_until(lambda: running.newest.problem == "taking the dark, 10000 frames")
     newest = running.newest
     assert newest.wavefront is None  # shown, not measured
@@ -157,7 +132,7 @@ def test_reference_clipped_by_the_full_well_is_doubtful(quick_toml: Path) -> Non
 def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
     running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
-    running.acquisition.submit(Instrument.take_reference, 2).result(HANG_S)
+    running.acquisition.take_reference(2).result(HANG_S)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
     assert running.acquisition.status.reference.validity == "doubtful"

@@ -52,7 +52,7 @@ def run_headless(
 ) -> int:
     run = HeadlessRun(Acquisition(BENCH, opener(camera)))
 
-    def note(_: RunningInstrument, measurement: Measurement) -> None:
+    def note(_: RunningInstrument, measurement: Measurement, __: object) -> None:
         if finished is not None:
             finished.append(measurement)
 

@@ -13,7 +13,6 @@ from support.patience import HANG_S, own_time
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
-from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.running_instrument import CLOSING_S
@@ -127,7 +126,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
             qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
 
         fake_camera.period_s = 0.1
-        reference = notebook.submit(Instrument.take_reference, 200)
+        reference = notebook.take_reference(200)
         qtbot.waitUntil(lambda: "taking the reference" in window._activity.text)
         is_refused(window.messages.escape)
         notebook.cancel()

@@ -14,6 +14,7 @@ from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.dark_reference_store import AverageState
+from app.acquisition.running_instrument import RunningInstrument
 from app.bench.device_kinds import DRIVERS
 from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow
@@ -35,9 +36,9 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
         (lambda: controls.exposure.setValue(30.4), lambda: camera.exposure_s == 0.03),
         (lambda: controls.em_gain.setValue(7), lambda: camera.em_gain == 7),
         (lambda: controls.current.setValue(120), lambda: camera.light.current_a == pytest.approx(0.12)),
-        (lambda: controls.requested.emit("mask", "stars"), lambda: camera.stage.mask == "stars"),
+        (lambda: controls.wanted.emit("mask", "stars"), lambda: camera.stage.mask == "stars"),
         (controls.start.click, lambda: camera.is_running),
-        (lambda: controls.requested.emit("amplifier", "normal"), lambda: camera.amplifier == "normal"),
+        (lambda: controls.wanted.emit(RunningInstrument.set_amplifier, "normal"), lambda: camera.amplifier == "normal"),
     )
     for act, is_done in acts:
         act()

@@ -10,7 +10,7 @@ from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
-from support.window_tools import press, wait_for_wavefront
+from support.window_tools import acquisition_of, press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
 from app.gui.shell.instrument_factory import InstrumentFactory
@@ -84,8 +84,7 @@ def test_second_request_ends_a_recording_that_has_not_begun(
     window, _ = live
     window.recording_bar.recordings_folder = tmp_path / "runs"
     release = threading.Event()
-    assert window.controller.acquisition is not None
-    held = window.controller.acquisition.submit(lambda _: release.wait(HANG_S))
+    held = acquisition_of(window).submit(lambda _: release.wait(HANG_S))
     press(qtbot, window, Qt.Key.Key_W)
     window.update_text()
     assert window.recording_panel.record.text() == "Stop recording"

@@ -16,6 +16,7 @@ from support.patience import HANG_S
 from support.window_tools import part, picture, press
 from test_number_field import type_text
 
+from app.acquisition.running_instrument import RunningInstrument
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import warning
 from app.gui.widgets import theme
@@ -113,8 +114,9 @@ def test_wheel_changes_a_field_or_choice_only_with_focus(live: tuple[MainWindow,
     window, camera = live
     window.activateWindow()
     controls = window.controls
-    requests: list[tuple[str, object]] = []
-    controls.requested.connect(lambda *request: requests.append(request))
+    requests: list[tuple[object, ...]] = []
+    for signal in (controls.requested, controls.wanted):
+        signal.connect(lambda *request: requests.append(request))
     for widget in (controls.exposure, controls.choices["mask"]):
         scroll(widget)
     assert controls.exposure.value() == 20
@@ -172,7 +174,7 @@ def test_message_names_the_actual_cause(live: tuple[MainWindow, FakeCamera], qtb
         ({}, unmatched),
     ):
         assert warning(replace(status, **changes), unmatched).startswith(text)
-    window.controls.requested.emit("mask", "stars")
+    window.controls.wanted.emit("mask", "stars")
     qtbot.waitUntil(lambda: "taken with the mask square" in window.messages.text.text())
 
 
@@ -194,7 +196,7 @@ def test_amplifier_change_says_what_else_it_changed(
         ("normal", "Exposure changed from 20 to 421 ms, gain changed from 7 to 1", (0.421, 1.0)),
         ("em", "Exposure changed from 421 to 20 ms, gain changed from 1 to 7", (0.02, 7.0)),
     ):
-        window.controls.requested.emit("amplifier", amplifier)
+        window.controls.wanted.emit(RunningInstrument.set_amplifier, amplifier)
         qtbot.waitUntil(partial(says, window, text))
         assert (camera.exposure_s, camera.em_gain) == state
 

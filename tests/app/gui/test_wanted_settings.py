@@ -56,10 +56,10 @@ def test_last_of_many_choices_wins_and_the_others_are_not_built(
     controls = window.controls
     with held_up(monkeypatch):
         for modes in (10, 15, 21, 6, 12):
-            controls.requested.emit("reconstruction.pupil_modes", modes)
+            controls.wanted.emit("reconstruction.pupil_modes", modes)
         controls.refine.click()
         is_refined = controls.refine.isChecked()
-        controls.requested.emit("mask", "stars")
+        controls.wanted.emit("mask", "stars")
         window.refresh()
         assert controls.choices["mask"].currentText() == "stars"
         assert [one.property("wanted") for one in (controls.refine, controls.choices["mask"])] == [True, True]
@@ -103,7 +103,7 @@ def test_gap_of_a_setting_is_noted_in_the_recording(
     acquisition.start_recording(tmp_path / "run").result(HANG_S)
     qtbot.waitUntil(lambda: acquisition.recording is not None and acquisition.recording.frames > 3)
     with held_up(monkeypatch):
-        window.controls.requested.emit("reconstruction.pupil_modes", 10)
+        window.controls.wanted.emit("reconstruction.pupil_modes", 10)
         qtbot.waitUntil(lambda: window._activity.text.startswith("preparing"))
         qtbot.wait(300)
     qtbot.waitUntil(lambda: acquisition.recording is not None and len(acquisition.recording.gaps) == 1)

@@ -14,7 +14,6 @@ from support.gui_bench import FakeCamera
 from support.patience import HANG_S
 from support.window_tools import press, said_in
 
-from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench
 from app.gui.shell.main_window import MainWindow
 from reconstruction.frame.linearity import Linearity
@@ -32,7 +31,7 @@ def move_lattice(window: MainWindow, qtbot: QtBot, center_x_px: float) -> None:
     assert lattice is not None
     change = "lattice", replace(lattice, center_x_px=center_x_px)
     assert window.controller.acquisition is not None
-    window.controller.acquisition.submit(Instrument.change_settings, [change]).result(HANG_S)
+    window.controller.acquisition.change_settings([change]).result(HANG_S)
     qtbot.waitUntil(lambda: center_of(window) == center_x_px)
 
 

@@ -13,7 +13,7 @@ from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
-from support.window_tools import MakeWindow, click, press, wait_for_wavefront
+from support.window_tools import MakeWindow, acquisition_of, click, press, wait_for_wavefront
 from test_calibration_guide import ExposedCamera
 
 from app.acquisition.instrument import Instrument
@@ -188,9 +188,8 @@ def test_light_that_was_just_switched_off_is_not_switched_on(
 def test_second_press_keeps_off_what_is_lighting_up(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, camera = live
     switch_off(window, qtbot)
-    busy, acquisition = threading.Event(), window.controller.acquisition
-    assert acquisition is not None
-    acquisition.submit(lambda _: busy.wait(HANG_S))
+    busy = threading.Event()
+    acquisition_of(window).submit(lambda _: busy.wait(HANG_S))
     for _ in range(2):
         press(qtbot, window, Qt.Key.Key_L)
         window.controls.light.setChecked(False)

@@ -246,11 +246,11 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
 
     seen = len(measurements)
     # the dark, still of the whole sensor, must not be used
-    acquisition.submit(Instrument.take_reference, 5).result(HANG_S)
+    acquisition.take_reference(5).result(HANG_S)
     newest(measurements, seen, has_wavefront)
     assert acquisition.status is not None
     assert "dark was taken of another part" in acquisition.status.warning
-    acquisition.submit(Instrument.take_dark, 5).result(HANG_S)
+    acquisition.take_dark(5).result(HANG_S)
     assert acquisition.status.warning == ""
     now = newest(measurements, len(measurements), has_wavefront).wavefront
     assert now is not None
@@ -267,7 +267,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
 def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:
     acquisition, measurements = live_small
     acquisition.set_area(SensorArea(Region(0, 0, 64, 64), 1)).result(HANG_S)
-    acquisition.submit(Instrument.take_reference, 3).result(HANG_S)
+    acquisition.take_reference(3).result(HANG_S)
     wait_until(lambda: "lenslets lie outside the frame of 64 x 64" in measurements[-1].problem)
 
 

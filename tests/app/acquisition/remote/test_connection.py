@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -18,7 +17,6 @@ from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.address import taken_address
-from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import reach
 from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
@@ -48,7 +46,7 @@ def test_wavefronts_are_those_of_the_instrument(server: Server) -> None:
         assert (found.counts, found.quality.faults) == (sent.counts, sent.quality.faults)
         assert found.latency_s == sent.latency_s
         assert connection.bench == BENCH
-        wait_until(lambda: connection.timings.summary()["register"].count > 0)
+        assert connection.stage_times().result(HANG_S)["register"].count > 0
 
 
 @pytest.mark.usefixtures("server")
@@ -56,11 +54,11 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(fake_camera:
     with connected() as connection:
         newest(connection)
         assert connection.has_control
-        assert connection.submit(Instrument.set, "exposure_s", 0.03, paused=True).result(HANG_S) == 0.03
+        assert connection.set_exposure_s(0.03, paused=True).result(HANG_S) == 0.03
         assert connection.status is not None
         assert connection.status.exposure_s == 0.03
         assert connection.status.dark.note.endswith("take it again")
-        connection.submit(Instrument.take_dark, 3).result(HANG_S)
+        connection.take_dark(3).result(HANG_S)
         assert connection.status.dark.validity == "good"
         area = connection.status.area
         assert connection.set_area(area).result(HANG_S) == area
@@ -74,9 +72,17 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(fake_camera:
 @pytest.mark.usefixtures("server")
 def test_impossible_commands_are_refused() -> None:
     commands: list[tuple[str, tuple[object, ...], type[Exception]]] = [
-        ("set", ("exposure_s", 0.055), BadValue),
-        ("set", ("exposure_s", "abc"), BadValue),
+        ("set_exposure_s", (0.055,), BadValue),
+        ("set_exposure_s", ("abc",), BadValue),
+        ("set_light_on", (1,), BadValue),
         ("limit_recording", (5,), BadValue),
+        ("limit_recording", (RecordingLimit(frames="x"),), BadValue),  # type: ignore[arg-type] # of another program
+        ("change_settings", ([("registration.threads", "x")],), BadValue),
+        ("change_settings", ([("nothing.x", 5)],), BadValue),
+        ("change_settings", ([5],), BadValue),
+        ("take_dark", (0,), BadValue),
+        ("status", (), BadValue),
+        ("submit", (), BadValue),
         ("take_dark", (), BadValue),
         ("take_dark", (3, 4), BadValue),
         ("close", (), BadValue),
@@ -98,71 +104,17 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
         assert first.has_control
         assert not second.has_control
         with pytest.raises(WrongState, match=r"only watches: first [\d.]+ has control"):
-            second.submit(Instrument.take_dark, 3).result(HANG_S)
+            second.take_dark(3).result(HANG_S)
         assert newest(second).wavefront is not None
         second.switch_light_off().result(HANG_S)  # anyone may
         assert isinstance(second._send("set", {1, 2}).exception(HANG_S), TypeError)
-        assert not second.submit(Instrument.take_dark, 3).cancel()  # it is on its way
+        assert not second.take_dark(3).cancel()  # it is on its way
         assert not fake_camera.light.shines
         second.take_control().result(HANG_S)
         assert second.has_control
-        second.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        second.set_light_on(True).result(HANG_S)
         with pytest.raises(WrongState, match="second"):
             first._send("cancel").result(HANG_S)
-
-
-def test_light_does_not_flash_if_on_and_off_wait_for_a_stopped_instrument(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """On a busy computer, the worker begins the first command before the second one is executed."""
-    goes_on, turn, execute = threading.Event(), Server._turn, Server._execute
-
-    def execute_slowly(server: Server, identity: bytes, command: Command) -> None:
-        execute(server, identity, command)
-        time.sleep(0.2)
-
-    monkeypatch.setattr(Server, "_execute", execute_slowly)
-    with served(fake_camera, begin=lambda _: None), connected("first") as first, connected("second") as second:
-        wait_until(lambda: first.status is not None)
-        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
-        time.sleep(0.6)
-        lighting, darkening = first.submit(Instrument.set, "is_light_on", True), second.switch_light_off()
-        wait_until(lambda: not first._pending_commands._waiting and not second._pending_commands._waiting)
-        time.sleep(0.5)  # both have left their clients: until they arrive
-        goes_on.set()
-        with pytest.raises(WrongState, match="switched off meanwhile"):
-            lighting.result(HANG_S)
-        darkening.result(HANG_S)
-        assert fake_camera.light.log.lightings == 0
-
-
-def test_light_does_not_flash_if_on_waited_for_the_worker_when_the_instrument_was_stopped(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The worker goes on a moment before the server, which has yet to hear of the command to switch off."""
-    goes_on, release, turn = threading.Event(), threading.Event(), Server._turn
-    with (
-        served(fake_camera, begin=lambda _: None) as server,
-        connected("first") as first,
-        connected("second") as second,
-    ):
-        wait_until(lambda: first.status is not None)
-        before = server.acquisition.submit(lambda _: release.wait(HANG_S))
-        wait_until(before.running)
-        lighting = first.submit(Instrument.set, "is_light_on", True)
-        wait_until(lambda: not server.acquisition._commands.is_empty)
-        monkeypatch.setattr(Server, "_turn", lambda server: goes_on.wait(HANG_S) and turn(server))
-        time.sleep(0.6)
-        darkening = second.switch_light_off()
-        release.set()
-        time.sleep(0.2)
-        goes_on.set()
-        with pytest.raises(WrongState, match="switched off meanwhile"):
-            lighting.result(HANG_S)
-        darkening.result(HANG_S)
-        assert fake_camera.light.log.lightings == 0
-        first.submit(Instrument.set, "is_light_on", True).result(HANG_S)
-        assert fake_camera.light.shines
 
 
 def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
@@ -187,10 +139,10 @@ def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
 
     with served(fake_camera, begin=lambda _: None), connected() as connection:
         wait_until(lambda: connection.status is not None)
-        give_up(lambda: connection.submit(Instrument.set, "is_light_on", True))
-        connection.submit(Instrument.set, "exposure_s", 0.03).result(HANG_S)
+        give_up(lambda: connection.set_light_on(True))
+        connection.set_exposure_s(0.03).result(HANG_S)
         assert fake_camera.light.log.lightings == 0
-        connection.submit(Instrument.set, "is_light_on", True).result(HANG_S)
+        connection.set_light_on(True).result(HANG_S)
         assert fake_camera.light.shines
         give_up(connection.switch_light_off)
         wait_until(lambda: not fake_camera.light.shines)
@@ -214,7 +166,7 @@ def test_control_is_free_when_its_client_leaves_or_falls_silent(monkeypatch: pyt
             wait_until(lambda: silent.name in other.clients)  # it is heard again, and only watches
             assert not other.controller
             with pytest.raises(WrongState, match="nobody has control"):
-                silent.submit(Instrument.take_dark, 3).result(HANG_S)
+                silent.take_dark(3).result(HANG_S)
 
 
 @pytest.mark.usefixtures("server")
@@ -262,7 +214,7 @@ def test_frames_of_routines_are_shown_but_not_measured(fake_camera: FakeCamera) 
     try:
         newest(connection)
         fake_camera.period_s = 0.1
-        future = connection.submit(Instrument.take_reference, 20)
+        future = connection.take_reference(20)
         shown = newest(connection, lambda made: "taking the reference" in made.problem)
         assert shown.wavefront is None
         assert "taking the reference" in connection.activity.text
@@ -291,7 +243,7 @@ def test_a_failing_device_ends_the_instrument_and_its_clients_say_why(fake_camer
         wait_until(lambda: not connection.is_alive)
         assert isinstance(connection.error, Disconnected)
         assert connection.failure == "the camera was unplugged"
-        assert isinstance(connection.submit(Instrument.take_dark, 3).exception(HANG_S), Disconnected)
+        assert isinstance(connection.take_dark(3).exception(HANG_S), Disconnected)
     assert not fake_camera.light.shines
 
 
