@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import subprocess
 from collections.abc import Callable, Iterable
-from contextlib import AbstractContextManager, nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Literal, Self, TypeAlias
@@ -196,15 +196,13 @@ class Instrument:
         elif not self.devices.camera.is_running:
             self.devices.camera.start()
 
-    def set_exposure_s(self, exposure_s: float, *, paused: bool = False) -> float:
-        """Change the exposure time; return the one in force. If `paused`, later frames are exposed after the change."""
-        with self._paused(paused):
-            return self.devices.camera.set_exposure(exposure_s)
+    def set_exposure_s(self, exposure_s: float) -> float:
+        """Change the exposure time; return the one in force."""
+        return self.devices.camera.set_exposure(exposure_s)
 
-    def set_em_gain(self, em_gain: float, *, paused: bool = False) -> float:
+    def set_em_gain(self, em_gain: float) -> float:
         """Change the electron multiplication; return the one in force."""
-        with self._paused(paused):
-            return self.devices.camera.set_em_gain(em_gain)
+        return self.devices.camera.set_em_gain(em_gain)
 
     def set_amplifier(self, amplifier: str) -> str:
         """Change the amplifier; return in words what else has changed."""
@@ -214,20 +212,17 @@ class Instrument:
         """Change the readout speed; return in words what else has changed."""
         return self._set_mode(partial(self.devices.camera.set_readout_speed, readout_speed))
 
-    def set_current_a(self, current_a: float, *, paused: bool = False) -> float:
+    def set_current_a(self, current_a: float) -> float:
         """Change the current of the light; return the one in force."""
-        with self._paused(paused):
-            return self.devices.light.set_current(current_a)
+        return self.devices.light.set_current(current_a)
 
-    def set_light_on(self, is_on: bool, *, paused: bool = False) -> None:
+    def set_light_on(self, is_on: bool) -> None:
         """Switch the light, or note that a person has switched a manual one."""
-        with self._paused(paused):
-            self.devices.light.note_light(is_on)
+        self.devices.light.note_light(is_on)
 
-    def set_sample_in(self, is_in: bool, *, paused: bool = False) -> None:
+    def set_sample_in(self, is_in: bool) -> None:
         """Move the sample, or note that a person has moved it."""
-        with self._paused(paused):
-            self.devices.stage.note_sample(is_in)
+        self.devices.stage.note_sample(is_in)
 
     def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
@@ -357,9 +352,6 @@ class Instrument:
 
     def _now(self) -> AcquisitionSettings:
         return AcquisitionSettings.of(self.devices)
-
-    def _paused(self, is_paused: bool) -> AbstractContextManager[object]:
-        return self.devices.camera.paused() if is_paused else nullcontext()
 
     def _set_mode(self, change: Callable[[], object]) -> str:
         """Change a mode of the camera, restore the exposure and gain last used in it; say what changed."""

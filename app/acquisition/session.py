@@ -203,7 +203,7 @@ class LiveBench:
         if bench.has_manual_light:
             for step in steps:
                 ask(f"switch the light {'on' if step.is_lit else 'off'}")
-                self._result(acquisition.set_light_on(step.is_lit, paused=True))
+                self._changed(partial(acquisition.set_light_on, step.is_lit))
                 self._result(step.begin(acquisition, frames))
         else:  # all are sent at once: a light that goes off meanwhile stays off
             lit = acquisition.set_light_on(True)
@@ -229,25 +229,25 @@ class LiveBench:
 
     def note_sample_in(self) -> None:
         """Note in recordings that the sample is in the beam; only needed on a bench without motors."""
-        self._result(self._acquisition.set_sample_in(True, paused=True))
+        self._changed(partial(self._acquisition.set_sample_in, True))
 
     def set_exposure(self, exposure_s: float) -> float:
         """Change the exposure time, s; return the one in force. Dark and reference are stale until taken again."""
-        return self._result(self._acquisition.set_exposure_s(float(exposure_s), paused=True))
+        return self._changed(partial(self._acquisition.set_exposure_s, float(exposure_s)))
 
     def set_em_gain(self, em_gain: float) -> float:
         """Change the electron multiplication; return the one in force. Dark and reference are stale until retaken."""
-        return self._result(self._acquisition.set_em_gain(float(em_gain), paused=True))
+        return self._changed(partial(self._acquisition.set_em_gain, float(em_gain)))
 
     def set_light_current(self, current_a: float) -> float:
         """Change the current of the light, A; return the one in force. The reference may have another brightness."""
-        return self._result(self._acquisition.set_current_a(float(current_a), paused=True))
+        return self._changed(partial(self._acquisition.set_current_a, float(current_a)))
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
         if not on and not self._bench.has_manual_light:
             self._result(self._acquisition.switch_light_off())
-        self._result(self._acquisition.set_light_on(bool(on), paused=True))
+        self._changed(partial(self._acquisition.set_light_on, bool(on)))
 
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.
@@ -350,6 +350,17 @@ class LiveBench:
         with self._arrived:
             self._newest = measurement
             self._arrived.notify_all()
+
+    def _changed(self, change: Callable[[], Future[T]]) -> T:
+        """Change a setting, the camera stopped meanwhile: all later measurements are of frames exposed afterwards."""
+        status = self._acquisition.status
+        if status is None or not status.is_running:
+            return self._result(change())
+        self._result(self._acquisition.set_running(False))
+        try:
+            return self._result(change())
+        finally:
+            self._start_camera()
 
     def _result(self, step: Future[T]) -> T:
         """Wait for a command's result; an error that ended the acquisition goes before the command's."""

@@ -30,7 +30,7 @@ def begin_request(command: Command, acquisition: RunningInstrument) -> Future[An
         raise BadValue(f"{name}: {error}") from error
     for key, value in bound.arguments.items():
         if key in hints and not _fits(value, hints[key]):
-            raise BadValue(f"{name}: {key} = {value!r:.60} is no {getattr(hints[key], '__name__', hints[key])}")
+            raise BadValue(f"{name}: {key} must be {getattr(hints[key], '__name__', hints[key])}, not {value!r:.60}")
     return send(*command.arguments, **command.named)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -13,6 +14,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
+from app.acquisition.command_queue import CommandQueue
 from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.running_instrument import RunningInstrument
 from app.bench.device_kinds import DRIVERS
@@ -200,3 +202,25 @@ def test_no_method_is_shown_as_a_word_of_code() -> None:
     for word in (*get_args(Method), *get_args(PupilBasis)):
         assert "_" not in name_of(word)
     assert NAMES.keys() <= {*get_args(Method), *get_args(PupilBasis), *DRIVERS["camera"], *DRIVERS["light"]}
+
+
+def test_exposure_passes_eight_functions_to_the_driver(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reader who clicks on names can follow it."""
+    (window, camera), passed = live, list[str]()
+    submit, set_exposure = CommandQueue.submit, FakeCamera._set_exposure
+
+    def note(function: Callable[..., object], before: str) -> Callable[..., object]:
+        def noting(*arguments: object) -> object:
+            names = [each.function for each in inspect.stack()[1:]]
+            passed.extend(reversed(names[: names.index(before)]))
+            return function(*arguments)
+
+        return noting
+
+    monkeypatch.setattr(CommandQueue, "submit", note(submit, "test_exposure_passes_eight_functions_to_the_driver"))
+    monkeypatch.setattr(FakeCamera, "_set_exposure", note(set_exposure, "_execute_commands"))
+    window.controls.exposure.setValue(30)
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.03)
+    assert len(passed) + 1 <= 8, passed  # with `submit` itself

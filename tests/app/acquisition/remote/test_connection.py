@@ -54,7 +54,7 @@ def test_commands_act_and_the_status_has_changed_when_they_are_done(fake_camera:
     with connected() as connection:
         newest(connection)
         assert connection.has_control
-        assert connection.set_exposure_s(0.03, paused=True).result(HANG_S) == 0.03
+        assert connection.set_exposure_s(0.03).result(HANG_S) == 0.03
         assert connection.status is not None
         assert connection.status.exposure_s == 0.03
         assert connection.status.dark.note.endswith("take it again")
