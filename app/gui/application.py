@@ -1,5 +1,6 @@
 """The Qt application: runs the window until its user, a signal or an unattended run closes it."""
 
+import gc
 import sys
 import time
 from collections.abc import Callable, Iterator
@@ -70,8 +71,10 @@ def run_window(
             if saved is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             open_first(window)
+            gc.freeze()  # a full collection would look at all modules, for 100 ms amid a redraw
             status = application.exec()
         finally:
+            gc.unfreeze()
             window.close()
     for sentence in window.unsaved:
         sys.stderr.write(f"svwfs: {sentence}\n")

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import contourpy
 import cv2
@@ -10,21 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
-from reconstruction.runtime.compilation import compiled
 
 _MOST_CONTOURS = 16
 _LIGHT = (-0.4, 0.5, 0.77)  # direction to the light over the surface, unit length
 _AMBIENT = 0.55  # brightness of a face turned away from the light
 
 Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent
-
-
-def shaded(counts: NDArray[np.integer[Any]], black: float, white: float, table: Pixels) -> Pixels:
-    """Colour of each pixel (row, column), from the table's first at black to its last at white."""
-    found = np.empty(counts.shape, np.uint32)
-    last = np.float32(len(table) - 1)
-    _fill(np.ascontiguousarray(counts), np.float32(black), last / np.float32(white - black), table, found)
-    return found
 
 
 def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixels:
@@ -39,17 +30,6 @@ def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixel
         small, large = (each[view][..., None].view(np.uint8) for each in (maps, found))
         cv2.resize(small, (columns, rows), dst=large, interpolation=how)
     return found
-
-
-@compiled
-def _fill(
-    counts: NDArray[np.integer[Any]], black: np.float32, per_count: np.float32, table: Pixels, found: Pixels
-) -> None:
-    last = np.float32(table.size - 1)
-    for row in range(counts.shape[0]):
-        for column in range(counts.shape[1]):
-            place = (np.float32(counts[row, column]) - black) * per_count
-            found[row, column] = table[np.int32(min(max(place, np.float32(0)), last) + np.float32(0.5))]
 
 
 def contours(values: Floats, limit: float) -> list[Floats]:

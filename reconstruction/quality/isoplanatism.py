@@ -89,7 +89,7 @@ def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> Struc
     lenslets known in both.
     """
     first, second = np.triu_indices(len(phase), 1)
-    difference_rad = rms(phase[first] - phase[second])
+    difference_rad = _differences(without_piston(phase).reshape(len(phase), -1))[first, second]
     separation_m = np.hypot(*(position_m[first] - position_m[second]).T)
     number = np.rint(separation_m / bin_m)
     bins = [number == one for one in np.unique(number)]
@@ -100,6 +100,22 @@ def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> Struc
         least_rad=np.array([each.min() if each.size else np.nan for each in known]),
         most_rad=np.array([each.max() if each.size else np.nan for each in known]),
     )
+
+
+def _differences(phase: Floats) -> Floats:
+    """RMS difference about its mean of each two of some wavefronts (position, lenslet), rad; NaN if unknown.
+
+    Products of matrices give the sums over the lenslets known in both, sixteen times as fast as all differences.
+    """
+    known = np.isfinite(phase)
+    count = known.sum(axis=0)
+    middle = np.where(known, phase, 0).sum(axis=0) / np.maximum(count, 1)  # subtracted, so that no digits are lost
+    values, known = np.where(known, phase - middle, 0), known.astype(np.float64)
+    lenslets, sums, squares = known @ known.T, values @ known.T, values**2 @ known.T
+    with np.errstate(invalid="ignore"):
+        mean = (sums - sums.T) / lenslets
+        variance = (squares + squares.T - 2 * values @ values.T) / lenslets - mean**2
+    return np.asarray(np.sqrt(np.maximum(variance, 0)))
 
 
 def global_error_rad(phase: Floats) -> float:

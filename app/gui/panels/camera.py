@@ -62,6 +62,7 @@ class CameraPanel(Panel):
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
+        self.counts_for: tuple[Panel, ...] = ()  # other panels that show the counts
         self._frame: Frame | None = None
         self._displacement: Displacement | None = None
         self._lattice: Lattice | None = None
@@ -80,7 +81,7 @@ class CameraPanel(Panel):
         self.lattice_toggle.toggled.connect(self._show_overlay)
         self.arrows_toggle.toggled.connect(self._show_overlay)
         self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._adapt_contrast, key="camera/contrast")
-        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._use_colours, key="camera/colours")
+        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._draw, key="camera/colours")
 
         self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
         self._make_picture()
@@ -131,13 +132,18 @@ class CameraPanel(Panel):
             )
         }
 
+    def catch_up(self) -> None:
+        super().catch_up()
+        self._show_overlay()
+
     def show_liveness(self) -> None:
         shown = self.shown.data_freshness
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
             self.badge.setVisible(bool(shown.badge))
             self._view.childGroup.setOpacity(0.5 if shown.is_grey else 1.0)
-        self.badge.setToolTip(shown.reason)
+        if shown.reason != self.badge.toolTip():
+            self.badge.setToolTip(shown.reason)
 
     def show_status(self, status: Status) -> None:
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
@@ -153,8 +159,13 @@ class CameraPanel(Panel):
         self._lattice = self._sensor = self._displacement = self._inspected = self.shown.statistics = None
         self._show_overlay()
 
+    @property
+    def is_needed(self) -> bool:
+        """True if one of the panels that show the counts is seen."""
+        return any(panel.isVisible() for panel in (self, *self.counts_for))
+
     def request(self) -> Request | None:
-        """Count the pixels for all panels, also while this one is hidden, and measure in the picture."""
+        """Count the pixels, and measure in the picture."""
         measurement, choice = self.shown.measurement, (self.full_scale, self.measuring.selection)
         if measurement is None:
             return None
@@ -189,7 +200,7 @@ class CameraPanel(Panel):
             black, white = self.shown.levels or (0, self.full_scale or _MOST_COUNTS)
             found = self.shown.statistics
             clip_level = found.clip_level if found is not None and found.clipped_share else None
-            self._image.show_counts(self._frame.pixels, black, white, clip_level)
+            self._image.show_counts(self._frame.pixels, self.colours.currentText(), black, white, clip_level)
 
     def use_levels(self, black: float, white: float) -> None:
         self.contrast.setCurrentText(_FROZEN)
@@ -211,10 +222,6 @@ class CameraPanel(Panel):
         black, white = self.shown.levels or (0.0, 0.0)
         if max(abs(low - black), abs(max(high, low + 1) - white)) > _LEVELS_SLACK * (white - black):
             self._show_levels(low, high)
-
-    def _use_colours(self) -> None:
-        self._image.use_colours(self.colours.currentText())
-        self._draw()
 
     def _zoom_out(self) -> None:
         self._click_timer.stop()
@@ -321,6 +328,8 @@ class CameraPanel(Panel):
         return as_table(("row", "column", "x (px)", "y (px)"), rows)
 
     def _show_overlay(self) -> None:
+        if not self.isVisible():
+            return
         lattice, sensor, displacement = self._lattice, self._sensor, self._displacement
         has_lattice = lattice is not None and sensor is not None and self.lattice_toggle.isChecked()
         has_arrows = lattice is not None and displacement is not None and self.arrows_toggle.isChecked()

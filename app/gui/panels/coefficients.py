@@ -73,13 +73,16 @@ class CoefficientsPanel(Panel):
         of = self.of.currentText() if self.of.currentIndex() else "view"
         return f"{BASES[self.basis.currentData()].names(self._mapped + 1)[-1]}, {of}"
 
+    @property
+    def is_needed(self) -> bool:
+        """True if it is seen, or the history records a coefficient."""
+        return self._mapped is not None or self.isVisible()
+
     def request(self) -> Request | None:
         wavefront, view = self.shown.wavefront, self.shown.view
         if wavefront is None or view is None:
             return None
         self._offer(wavefront.displacement.modes.count)
-        if not self.isVisible() and self._mapped is None:
-            return None
         choice = ModeChoice(self.basis.currentData(), self.of.currentData(), view, self._mapped)
         return Request(wavefront, choice, lambda _: mode_coefficients(wavefront, choice))
 

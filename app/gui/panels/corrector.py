@@ -51,7 +51,7 @@ class CorrectorPanel(Panel):
 
     def request(self) -> Request | None:
         measurement, origin, corrector = self.shown.measurement, self.origin.currentData(), self.corrector.currentData()
-        if not self.isVisible() or measurement is None or measurement.wavefront is None:
+        if measurement is None or measurement.wavefront is None:
             return None
         return Request(
             measurement,

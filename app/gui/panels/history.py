@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QFontMetrics, QShowEvent
+from PyQt6.QtGui import QFontMetrics
 from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QWidget
 
 from app.bench.settings_form import typed_number
@@ -210,8 +210,12 @@ class HistoryPanel(Panel):
         """Return the unit in which a series is shown, and the factor of its values."""
         return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
 
+    @property
+    def is_needed(self) -> bool:
+        """True: it samples measurements also while it is hidden."""
+        return True
+
     def request(self) -> Request | None:
-        """Sample the measurement, also while the panel is hidden."""
         measurement, wavefront, status = self.shown.measurement, self.shown.wavefront, self.shown.status
         if measurement is None or status is None:
             return None
@@ -254,8 +258,8 @@ class HistoryPanel(Panel):
             samples = self.samples.currentData()
             chart.show_drift(Drift.of(values[-samples:]), samples)
 
-    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().showEvent(event)
+    def catch_up(self) -> None:
+        super().catch_up()
         self.refresh()
 
     def _arrange(self) -> None:

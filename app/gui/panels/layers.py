@@ -75,7 +75,7 @@ class LayersPanel(Panel):
 
     def request(self) -> Request | None:
         measurement, origin, count = self.shown.measurement, self.origin.currentData(), self.mode.currentData()
-        if not self.isVisible() or measurement is None or measurement.wavefront is None:
+        if measurement is None or measurement.wavefront is None:
             return None
         if measurement.calibration is not None and measurement.calibration.bench is not self._bench:
             self._bench = measurement.calibration.bench

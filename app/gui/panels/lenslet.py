@@ -102,7 +102,7 @@ class LensletPanel(Panel):
 
     def request(self) -> Request | None:
         measurement, lenslet = self.shown.measurement, self.lenslet
-        if self.shown.wavefront is None or measurement is None or lenslet is None or not self.isVisible():
+        if self.shown.wavefront is None or measurement is None or lenslet is None:
             return None
         return Request(measurement, lenslet, lambda _: inspect_lenslet(measurement, *lenslet))
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple
 
 from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QAbstractButton, QMenu, QWidget
 
 from app.acquisition.instrument import Status
@@ -17,6 +18,7 @@ from reconstruction.wavefront import Wavefront
 Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
 Entries = tuple[tuple[str, str, Act] | None, ...]  # text, key and action, or a separator
 Check = Callable[[], None]  # raises when the window closes
+SLOWER_S = 0.36  # interval of what takes some milliseconds: three times a second
 
 
 class DataFreshness(NamedTuple):
@@ -108,6 +110,20 @@ class Panel(QWidget):
         self.shown = shown
         self.header: QWidget | None = None  # in place of the title
 
+    @property
+    def is_needed(self) -> bool:
+        """True if it is seen, or what it computes is used elsewhere; else it computes nothing."""
+        return self.isVisible()
+
+    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
+        super().showEvent(event)
+        self.catch_up()
+
+    def catch_up(self) -> None:
+        """Show what has changed while the panel was hidden."""
+        self.show_numbers()
+        self.show_liveness()
+
     def menu_entries(self) -> Mapping[str, Entries]:
         """Return entries by the title of their menu."""
         return {}
@@ -131,7 +147,7 @@ class Panel(QWidget):
         """Forget what belongs to a bench that was closed."""
 
     def request(self) -> Request | None:
-        """Return what to compute, None if nothing: hidden panels need nothing."""
+        """Return what to compute, None if nothing; called while the panel is needed."""
         return None
 
     def show_result(self, result: Any, /) -> None:

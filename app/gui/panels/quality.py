@@ -9,7 +9,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 
-from app.gui.panels.panel import DisplayState, Panel, Request
+from app.gui.panels.panel import SLOWER_S, Check, DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
@@ -36,15 +36,14 @@ class QualityPanel(Panel):
 
     def request(self) -> Request | None:
         wavefront, view = self.shown.wavefront, self.shown.view
-        if wavefront is None or view is None or not self.isVisible():
+        if wavefront is None or view is None:
             return None
-        x_m, y_m = float(wavefront.field.view_x_m[view[1]]), float(wavefront.field.view_y_m[view[0]])
-        where = position_texts(x_m, y_m)[1]
-        return Request(
-            wavefront,
-            (view, x_m, y_m),
-            lambda _: (where, mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)),
-        )
+
+        def compute(_: Check) -> tuple[str, Mtf, Isoplanatism]:
+            at_m = float(wavefront.field.view_x_m[view[1]]), float(wavefront.field.view_y_m[view[0]])
+            return position_texts(*at_m)[1], mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)
+
+        return Request(wavefront, (view, wavefront.field), compute, SLOWER_S)
 
     def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:
         where, transfer, found = result

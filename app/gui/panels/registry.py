@@ -33,6 +33,7 @@ class Panels(NamedTuple):
 def make_panels(shown: DisplayState) -> Panels:
     """Make all panels, and connect those that follow each other."""
     made = Panels(*(kind(shown) for kind in get_type_hints(Panels).values()))
+    made.camera.counts_for = made.controls, made.histogram
     made.camera.lenslet_clicked.connect(made.lenslet.inspect)
     made.histogram.levels_chosen.connect(made.camera.use_levels)
     made.coefficients.pinned.connect(made.history.pin)

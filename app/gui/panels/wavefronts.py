@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ from PyQt6.QtGui import QAction, QActionGroup
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.files import check_outputs
-from app.gui.panels.panel import DisplayState, Entries, Panel, Request
+from app.gui.panels.panel import SLOWER_S, DisplayState, Entries, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle
 from app.gui.widgets.copies import ask_file, write_picture
@@ -37,6 +37,7 @@ from app.results.shown_wavefront import (
 from app.results.view_maps import Quantity, QuantityMaps, ViewNumbers, quantity_maps, view_numbers
 from drivers.interface import Range
 from reconstruction.arrays import Floats
+from reconstruction.geometry import Field
 from reconstruction.quality.image_quality import aligned
 from reconstruction.wavefront import Wavefront
 
@@ -53,6 +54,7 @@ class WavefrontPanel(Panel):
         self._newest: Wavefront | None = None  # as measured
         self._display = WavefrontDisplay()
         self._numbers: ViewNumbers | None = None  # of the maps in the grid, or of some before them
+        self._written: tuple[object, ...] = ()  # what captions and summary were written for
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
@@ -124,7 +126,7 @@ class WavefrontPanel(Panel):
         self.shown.use_wavefront(None if wavefront is None else self._display(wavefront))
         if self.shown.wavefront is None:
             self._show_maps(None)
-        elif self.quantity is Quantity.WAVEFRONT:
+        elif self.is_needed and self.quantity is Quantity.WAVEFRONT:
             self._show(QuantityMaps(self.shown.wavefront.views))
 
     def forget_bench(self) -> None:
@@ -133,6 +135,15 @@ class WavefrontPanel(Panel):
         self._reading.forget()
         self._display = WavefrontDisplay()
         self.menu.change(stored=None)
+
+    @property
+    def is_needed(self) -> bool:
+        """True if the maps are seen, here or enlarged."""
+        return self.isVisible() or (self._enlarged is not None and self._enlarged.isVisible())
+
+    def catch_up(self) -> None:
+        super().catch_up()
+        self.show_wavefront(self._newest)
 
     def request(self) -> Request | None:
         """Frame the chosen view, and request maps with their numbers, of a wavefront only these."""
@@ -146,7 +157,7 @@ class WavefrontPanel(Panel):
             return None
         reach_rad = self.reach_rad if quantity is Quantity.PSF else None
         choice = (quantity, settings, reach_rad, wavefront.field)
-        return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad))
+        return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad), SLOWER_S)
 
     def show_result(self, result: QuantityMaps | ViewNumbers | None) -> None:
         if result is None:
@@ -164,14 +175,18 @@ class WavefrontPanel(Panel):
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
             self._summary.setText("")
             self.grid.set_captions({})
+            self._written = ()
             return
+        written = numbers, wavefront.field, self.shown.unit, self.menu.options, self._reach_mrad.value
+        if written == self._written:
+            return
+        self._written = written
         presentation, field, factor = PRESENTATIONS[quantity], wavefront.field, self._factor
         if numbers.first.shape == (field.view_rows, field.view_columns):
             captions: dict[tuple[int, int], Caption] = {}
-            for i, j in np.ndindex(numbers.first.shape):
-                first, second = (factor * float(each[i, j]) for each in (numbers.first, numbers.second))
-                where = position_texts(float(field.view_x_m[j]), float(field.view_y_m[i]))
-                captions[i, j] = presentation.caption(first, second), where
+            for at, where in _positions(field).items():
+                first, second = (factor * float(each[at]) for each in (numbers.first, numbers.second))
+                captions[at] = presentation.caption(first, second), where
             self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
@@ -293,6 +308,13 @@ class WavefrontPanel(Panel):
             self.show_numbers()
         if self._enlarged is not None:
             self._enlarged.refresh()
+
+
+@lru_cache(maxsize=4)
+def _positions(field: Field) -> dict[tuple[int, int], tuple[str, ...]]:
+    """Wordings of the position of each view (view_row, view_column)."""
+    x_m, y_m = field.view_x_m.tolist(), field.view_y_m.tolist()
+    return {(i, j): position_texts(x_m[j], y_m[i]) for i, j in np.ndindex(len(y_m), len(x_m))}
 
 
 def _describe_lenslet(in_words: Callable[[float], str], row: int, column: int, value: float) -> str:

@@ -10,7 +10,6 @@ from typing import Any
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from app.gui.panels.panel import Check, DisplayState, Panel, Request
-from app.gui.widgets.timers import REFRESH_MS, timer
 from reconstruction.runtime.threads import one_blas_thread
 
 _SHARE = 0.15  # of a core, for each panel: the measurement needs the rest
@@ -80,15 +79,14 @@ class Analyses(QObject):
         quick = thread()
         self.of = {panel: Analysis(thread() if panel.has_own_thread else quick, self._check) for panel in panels}
         shown.view_chosen.connect(self.poll)
-        self._timer = timer(self, REFRESH_MS, self.poll)
-        self._timer.start()
 
     def poll(self) -> None:
+        """Show results and compute what is requested now; called at each refresh of the window."""
         self._shown.has_open_tabs = any(panel.isVisible() for panel in self.of if panel.dock_area == "tab")
         for panel, analysis in self.of.items():
             if (result := analysis.take()) is not None:
                 self._show(panel, analysis, result)
-            analysis.submit(panel.request())
+            analysis.submit(panel.request() if panel.is_needed else None)
         if self._shown.wavefront is None:
             for panel in self.of:
                 panel.show_nothing()
@@ -99,14 +97,13 @@ class Analyses(QObject):
 
     def close(self) -> None:
         """Wait for the current analyses and end their threads."""
-        self._timer.stop()
         self.is_closing = True
         for analysis in self.of.values():
             analysis.thread.shutdown(cancel_futures=True)
 
     def _show(self, panel: Panel, analysis: Analysis, result: Future[Any]) -> None:
         """Show a result unless another choice was made meanwhile, or the panel was hidden."""
-        now = panel.request()
+        now = panel.request() if panel.is_needed else None
         if (error := result.exception()) is not None:
             self.failed.emit(f"Analysis failed: {error}")
         elif now is not None and analysis.request is not None and now.choice == analysis.request.choice:

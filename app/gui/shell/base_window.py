@@ -17,11 +17,9 @@ from PyQt6.QtWidgets import QMainWindow
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.file_work import FileWork
+from app.gui.widgets.timers import REFRESH_MS
 from app.measurement.measurement import Measurement
 from app.timing import Timings
-
-_LATE = 1.5  # times between two frames until a result: beyond, frames are waiting
-_REDRAWS = 2  # at least, between two that are left out
 
 
 class BaseWindow(QMainWindow):
@@ -34,7 +32,7 @@ class BaseWindow(QMainWindow):
         super().__init__()
         self.unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
         self.messages = MessageStrip()
-        self._redraws = 0  # since one was left out
+        self.rests_until_s = 0.0  # after a slow redraw
         self.known_errors: set[str] = set()  # that were shown since the alarm was dismissed, or a bench was opened
         self.messages.dismissed.connect(self.known_errors.clear)
         self._screenshots = FileWork(self, self.messages.warn)
@@ -60,7 +58,9 @@ class BaseWindow(QMainWindow):
         start_s = time.perf_counter()
         is_handled = super().event(event)  # paints the whole window
         end_s = time.perf_counter()
-        timings.note("draw", seconds + end_s - start_s)
+        took_s = seconds + end_s - start_s
+        self.rests_until_s = end_s + took_s - REFRESH_MS / 1e3  # commands go on, and the instrument needs the processor
+        timings.note("draw", took_s)
         timings.note("to_screen", end_s - measurement.exposure_end_s)
         return is_handled
 
@@ -70,12 +70,6 @@ class BaseWindow(QMainWindow):
         path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
         write = partial(write_picture, path, self.grab().toImage())
         self._screenshots.run(write, lambda _: self.messages.inform(f"saved {path}"), writes=str(path))
-
-    def leaves_out(self, newest: Measurement, shown: Measurement | None) -> bool:
-        """Return whether to leave out a redraw: one of three while measurements are late, which need the processor."""
-        is_left_out = self._redraws >= _REDRAWS and shown is not None and _is_late(newest, shown)
-        self._redraws = 0 if is_left_out else self._redraws + 1
-        return is_left_out
 
     @contextmanager
     def reported_errors(self) -> Iterator[None]:
@@ -113,11 +107,3 @@ class BaseWindow(QMainWindow):
 
 def _paths(data: QMimeData | None) -> list[Path]:
     return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
-
-
-def _is_late(newest: Measurement, shown: Measurement) -> bool:
-    frames = newest.counts.acquired - shown.counts.acquired
-    if frames <= 0:  # the camera was started again
-        return False
-    between_s = (newest.frame.host_time_s - shown.frame.host_time_s) / frames
-    return newest.latency_s > _LATE * max(between_s, newest.frame.exposure_s)

@@ -94,8 +94,7 @@ class MainWindow(BaseWindow):
             restore_state(saved, self)
         fit_to_screen(self)
         self._timer = timer(self, REFRESH_MS, self.refresh)
-        # Between two frames: together they would hold up the measurement.
-        self._text_timer = timer(self, REFRESH_MS // 2, self.update_text, is_single=True)
+        self._timer.start()
         self.recording_panel.setEnabled(False)
         self.update_text()
 
@@ -209,7 +208,6 @@ class MainWindow(BaseWindow):
 
         def connect() -> None:
             self._timer.stop()
-            self._text_timer.stop()
             self.controller.close(self._show_closing)
             if self.controller.is_stuck and not self.controller.is_silent:
                 self.messages.warn(left_behind(self.controller.status, CLOSING_S))
@@ -230,8 +228,10 @@ class MainWindow(BaseWindow):
         self.recording_bar.ask_to_end(lambda: self.light.ask_off(connect))
 
     def refresh(self) -> None:
+        """Show what is new: results of commands, status, and the newest measurement."""
         acquisition = self.controller.acquisition
         if acquisition is None:
+            self.analyses.poll()
             return
         if any([self.controller.poll(), self.light.poll(), self.shown.wanted != self.settings.wanted]):
             self._forget_status()  # shown again, so that a refused value gives way to the one in force
@@ -250,13 +250,13 @@ class MainWindow(BaseWindow):
         if self._failure:
             self.update_text()
         elif self._refreshes % _REFRESHES_PER_TEXT == 0:
-            self._text_timer.start()  # before the frame is drawn: if that fails, the text says so
-        measurement = acquisition.newest
+            self.update_text()  # before the frame is drawn: if that fails, the text says so
+        measurement, start_s = acquisition.newest, time.perf_counter()
         is_new = measurement is not self.shown.measurement and not self.isMinimized()
-        if measurement is not None and is_new and not self.leaves_out(measurement, self.shown.measurement):
-            start_s = time.perf_counter()
+        if measurement is not None and is_new and start_s > self.rests_until_s:
             self.show_measurement(measurement)
             self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
+        self.analyses.poll()
 
     def _show_changed(self, status: Status) -> None:
         """Show a changed status; failed devices, or those of a silent process, stand still."""
@@ -340,7 +340,6 @@ class MainWindow(BaseWindow):
         if self._saved is not None:
             save_state(self._saved, self)
         self._timer.stop()
-        self._text_timer.stop()
         self.analyses.close()
         self.recording_bar.commands.close()
         self.region_dialog.close()

@@ -157,15 +157,18 @@ class _Value(QLabel):
 
     def __init__(self, about: str, widest: str) -> None:
         super().__init__()
-        self.about = about
+        self.about, self._more = about, ""
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance(widest))  # so that the next does not move
 
     def show_text(self, text: str, more: str = "", colour: QColor = theme.TEXT) -> None:
         """Show a text in a fixed size that never shrinks, else Qt lays out and paints all values."""
-        self.setText(text)
-        needed = self.sizeHint()
-        self.setFixedSize(max(self.minimumWidth(), needed.width()), needed.height())
-        self.setToolTip("\n".join(filter(None, [self.about, more])))
+        if text != self.text():
+            self.setText(text)
+            needed = self.sizeHint()
+            self.setFixedSize(max(self.minimumWidth(), needed.width()), needed.height())
+        if more != self._more:
+            self._more = more
+            self.setToolTip("\n".join(filter(None, [self.about, more])))
         colour_text(self, colour)
 
 

@@ -8,20 +8,22 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
+import cv2
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
-from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6 import sip
+from PyQt6.QtCore import QEvent, QLineF, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.layouts import column
 from app.gui.widgets.plot import Canvas, Plot
-from app.gui.widgets.presentation import colour_table, number
+from app.gui.widgets.presentation import count_colours, number
 from app.gui.widgets.texts import ElidedLabel
 from app.results.frame_statistics import AreaStatistics, MeasuredPart, Selection, lengths_of
-from app.results.pictures import Pixels, shaded
+from app.results.pictures import Pixels
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
 
@@ -31,41 +33,56 @@ _USUAL = 0.98  # share of the arrows that are not the longest few
 _HEAD = 0.35  # length of an arrow's head, in arrow lengths
 _BARBS = np.array([[[-0.9, 0.45], [-0.45, -0.9]], [[-0.9, -0.45], [0.45, -0.9]]])  # turn and shorten the shaft
 _MICRO = "\N{MICRO SIGN}m"
+_sip: Any = sip  # its types are declared incompletely
+
+Counts = NDArray[np.uint16]
 
 
 class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
-    """Shows counts in the colours between a black and a white level; pixel centres are at integers."""
+    """Shows counts in the colours between a black and a white level; pixel centres are at integers.
+
+    Painting looks up the colours of what is seen, at the resolution of the screen.
+    """
 
     def __init__(self, view: pg.ViewBox) -> None:
         super().__init__()
-        self.pixels: Pixels = np.zeros((0, 0), np.uint32)  # as shown
-        self._image = QImage()
-        self.use_colours("grey")
+        self.counts: Counts = np.zeros((0, 0), np.uint16)
+        self._look: tuple[str, float, float, int | None] = "grey", 0.0, 1.0, None
         view.addItem(self)
 
     def show_counts(
-        self, counts: NDArray[np.integer[Any]], black: float, white: float, clip_level: int | None = None
+        self, counts: Counts, colours: str, black: float, white: float, clip_level: int | None = None
     ) -> None:
         """Show the counts of a frame (row, column), red from `clip_level` on."""
-        if counts.shape != self.pixels.shape:
+        if counts.shape != self.counts.shape:
             self.prepareGeometryChange()
-        self.pixels = shaded(counts, black, white, self._table)  # the image refers to its memory
-        if clip_level is not None:
-            self.pixels[counts >= clip_level] = theme.RED_ON_IMAGE.rgb()
-        rows, columns = counts.shape
-        memory: Any = self.pixels.data
-        self._image = QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_RGB32)
+        self.counts, self._look = counts, (colours, black, white, clip_level)
         self.update()
 
-    def use_colours(self, name: str) -> None:
-        self._table = colour_table(name, 256)
-
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
-        rows, columns = self.pixels.shape
+        rows, columns = self.counts.shape
         return QRectF(-0.5, -0.5, columns, rows)
 
+    def colours(self, counts: Counts) -> Pixels:
+        """Return the colour of each count."""
+        table, found = count_colours(*self._look, theme.RED_ON_IMAGE.rgb()), np.empty(counts.shape, np.uint32)
+        table.take(counts, out=found, mode="clip")  # every count is in the table; other modes copy the result
+        return found
+
     def paint(self, painter: QPainter, *_: object) -> None:
-        painter.drawImage(self.boundingRect(), self._image)
+        seen = self.viewRect().intersected(self.boundingRect())
+        if seen.isEmpty():
+            return
+        left, top = int(seen.left() + 0.5), int(seen.top() + 0.5)
+        counts = self.counts[top : math.ceil(seen.bottom() + 0.5), left : math.ceil(seen.right() + 0.5)]
+        area = QRectF(left - 0.5, top - 0.5, *counts.shape[::-1])
+        if (scale := abs(painter.deviceTransform().m11())) < 1:
+            size = [max(round(scale * side), 1) for side in counts.shape[::-1]]
+            counts = np.asarray(cv2.resize(counts, size, interpolation=cv2.INTER_NEAREST_EXACT), np.uint16)
+        pixels = self.colours(counts)
+        rows, columns = pixels.shape
+        memory: Any = pixels.data
+        painter.drawImage(area, QImage(memory, columns, rows, 4 * columns, QImage.Format.Format_RGB32))
 
 
 class Picture(Canvas):
@@ -84,24 +101,30 @@ class Picture(Canvas):
         self._left()
 
 
-class Segments(pg.PlotCurveItem):  # type: ignore[misc] # ships no types
+class Segments(pg.GraphicsObject):  # type: ignore[misc] # ships no types
     """Segments given by pairs of ends, so that one item draws all; the pens are as wide at any zoom."""
 
     def __init__(self, view: pg.ViewBox, colour: QColor, *, alpha: int = 255, width: int = 1, shadow: int = 0) -> None:
         """Add an item without segments to a view; `shadow` is the width of a dark line below each, px."""
-        below = pg.mkPen((0, 0, 0, 200), width=shadow) if shadow else None
+        super().__init__()
         pen = pg.mkPen((colour.red(), colour.green(), colour.blue(), alpha), width=width)
-        super().__init__(pen=pen, shadowPen=below, connect="pairs", skipFiniteCheck=True)
-        self.setSegmentedLineMode("on")  # else it would make a path of them first
+        self._pens = (*([pg.mkPen((0, 0, 0, 200), width=shadow)] * bool(shadow)), pen)
         self.ends: Floats = np.zeros((0, 2))
+        self._lines: Any = None
         self.setZValue(1)
         view.addItem(self, ignoreBounds=True)
 
     def draw(self, ends: Floats) -> None:
         """Show other segments (2 * segment, xy)."""
         if ends is not self.ends and not np.array_equal(ends, self.ends):
-            self.ends = ends
-            self.setData(*ends.T)
+            self.ends, self._lines = ends, _sip.array(QLineF, len(ends) // 2)
+            np.frombuffer(_sip.voidptr(self._lines, 16 * len(ends)), np.float64)[:] = ends.ravel()
+            self.update()
+
+    def paint(self, painter: QPainter, *_: object) -> None:
+        for pen in self._pens if len(self.ends) else ():
+            painter.setPen(pen)
+            painter.drawLines(self._lines)
 
     def boundingRect(self) -> QRectF:  # noqa: N802 - Qt's name
         """Return where segments may lie; their true border costs a tenth of painting them."""

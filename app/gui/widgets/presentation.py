@@ -20,6 +20,7 @@ _HALVES, _FIFTHS = (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.2, 0.4, 0.6, 0.8, 1.0)
 _ROOTS = (0.0, 0.1, 0.25, 0.5, 1.0)  # well apart on a square-root scale
 NOTHING = "\N{EN DASH}"
 _MOST_DECIMALS = 6
+_COUNTS = 1 << 16  # that a pixel of a camera can have
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +81,17 @@ def colour_table(colours: str, count: int = 255) -> Pixels:
     if colours != "grey":
         rgb = pg.colormap.get(colours).getLookupTable(nPts=count)[:, :3]
     return np.uint32(0xFF000000) | (rgb.astype(np.uint32) @ np.array([1 << 16, 1 << 8, 1], np.uint32))
+
+
+@lru_cache(maxsize=4)
+def count_colours(colours: str, black: float, white: float, clip_level: int | None, clipped: int) -> Pixels:
+    """Colour of each count of a camera, (65536,): `colours` from black to white, `clipped` from `clip_level` on."""
+    table = colour_table(colours, 256)
+    place = np.clip((np.arange(_COUNTS) - black) / (white - black), 0, 1) * (len(table) - 1)
+    found: Pixels = table[np.rint(place).astype(np.intp)]
+    if clip_level is not None:
+        found[clip_level:] = clipped
+    return found
 
 
 class AdaptiveScale:

@@ -26,11 +26,14 @@ class ElidedLabel(QLabel):
         super().__init__()
         self.setProperty("role", role)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._most, self._taken = lines, 1
+        self._most, self._taken, self._text = lines, 1, ""
+        self._fitted: tuple[tuple[object, ...], str] = (), ""  # what the shown text was computed for, and that text
         self._keep_room()
         self.setText(text)
 
     def setText(self, text: str | None) -> None:  # noqa: N802 - Qt's name
+        if self._text == (text or ""):
+            return
         self._text = text or ""
         self.setToolTip(text)
         self.setAccessibleName(text)
@@ -43,6 +46,12 @@ class ElidedLabel(QLabel):
     @property
     def shown(self) -> str:
         """The text as it is painted: lines that fit the width, the last one elided."""
+        fitted = self._text, self.width(), self.font()
+        if fitted != self._fitted[0]:
+            self._fitted = fitted, self._fit()
+        return self._fitted[1]
+
+    def _fit(self) -> str:
         lines = self._wrapped() if self._most > 1 else [self._text]
         first, rest = lines[: self._most - 1], "".join(lines[self._most - 1 :])
         fitting = self.fontMetrics().elidedText(rest, Qt.TextElideMode.ElideRight, self.width())

@@ -1,6 +1,7 @@
 """Grid of maps, one for each view, with captions and a colour bar."""
 
 import math
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -25,6 +26,7 @@ MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 4  # between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40), (0, 0))  # lines and least px: of narrower views only the tool tips have the numbers
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
+_DIGIT = re.compile(r"\d")
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
 
@@ -121,6 +123,7 @@ class ViewGrid(QWidget):
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
         self.setMinimumSize(*least)
+        self.setAutoFillBackground(True)  # else all that lies below is painted, too
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         add_copy_menu(self, self._numbers_at)
 
@@ -291,8 +294,10 @@ class ViewGrid(QWidget):
     def _wording(self, line: int) -> int | None:
         """Return the longest wording of a line that fits under all views, if any."""
         width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
+        # Measuring takes longer than painting all maps; digits are equally wide, and most texts differ only in them.
         by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
-        return next((index for index, texts in enumerate(by_wording) if max(map(advance, texts)) <= width), None)
+        alike = ({_DIGIT.sub("0", text) for text in texts} for texts in by_wording)
+        return next((index for index, texts in enumerate(alike) if max(map(advance, texts)) <= width), None)
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)

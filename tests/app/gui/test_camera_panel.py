@@ -64,7 +64,7 @@ def test_colours_reach_from_the_black_to_the_white_level(make_window: MakeWindow
     window.show_measurement(make_measurement(pixels, views()))
     for name, expected in (("grey", (0x000000, 0x7F7F7F, 0xFFFFFF)), ("inferno", (0x000003, 0xBB3754, 0xFCFEA4))):
         panel.colours.setCurrentText(name)
-        shown = panel._image.pixels[0, :3] & 0xFFFFFF
+        shown = panel._image.colours(pixels[0, :3]) & 0xFFFFFF
         for colour, other in zip(shown.tolist(), expected, strict=True):
             channels = [(colour >> shift & 0xFF) - (other >> shift & 0xFF) for shift in (0, 8, 16)]
             assert np.abs(channels).max() <= 3, (name, hex(colour))

@@ -227,7 +227,7 @@ def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow, 
     levels.lines[1].setValue(1100.0)  # as a drag does
     assert camera.contrast.currentText() == "frozen contrast"
     assert window.shown.levels == (900, 1100)
-    assert camera._image.pixels[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
+    assert camera._image.colours(pixels)[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
     camera.contrast.setCurrentText("full range")
     window.update_text()
     assert levels.getRegion() == (0, 65535)

@@ -178,12 +178,3 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
     panel.table.selectRow(2)
     QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert len(clipboard.text().splitlines()) == 2
-
-
-def test_hidden_tabs_compute_nothing(window: MainWindow) -> None:
-    open_tab(window, "History")
-    window.analyses.poll()
-    assert window.panels.coefficients.request() is None
-    window.show_measurement(measurement(0.7))
-    window.analyses.poll()
-    assert window.analyses.of[window.panels.coefficients].request is None
