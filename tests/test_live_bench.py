@@ -42,7 +42,8 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
         iter(live)
     recording = svwfs.open_recording(folder)
     assert len(recording) == 4
-    first = (folder / "frames.zarr/0/c/0/0/0").read_bytes()
+    chunk = folder / "frames.zarr/0/c/0/0/0"
+    held = chunk.read_bytes()
     assert repr(recording).startswith(f"<Recording {folder}: 4 frames of 240 x 256 pixels; began 20")
     assert html_picture(recording._repr_html_()).shape == (240, 256, 3)
     assert recording.dark is not None
@@ -50,9 +51,9 @@ def test_live_bench_records_and_reports_what_it_used(bench: Bench, tmp_path: Pat
     assert recording.dark.shape == recording.reference.shape == (240, 256)
     assert recording.reference.mean() > recording.dark.mean() > 0
     assert recording.run["command"] == "python"
-    (folder / "frames.zarr/0/c/0/0/0").write_bytes(b"")
+    chunk.write_bytes(b"")
     assert "is damaged: 0 bytes" in svwfs.open_recording(folder)._repr_html_()
-    (folder / "frames.zarr/0/c/0/0/0").write_bytes(first)
+    chunk.write_bytes(held)
     frames = recording.frames
     assert frames.sizes == {"frame": 4, "row": 240, "column": 256}
     assert frames["frame_index"].values.tolist() == sorted(frames["frame_index"].values.tolist())

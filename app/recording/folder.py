@@ -19,9 +19,9 @@ from app.run_facts import write_record
 FORMAT = "svwfs recording 1"
 
 _LATER_FORMAT = re.compile(r"svwfs recording (?!1\b)\d+")
-RUN, FRAME_LINES, STORE, _BIASES, _CALIBRATIONS = RECORDING_PARTS
+RUN, FRAME_LINES, STORE, _BIASES, CALIBRATIONS = RECORDING_PARTS
 BIAS = f"{_BIASES}/{{}}.npy"  # by number (lenslet_row, lenslet_column, field_mode, xy), px
-CALIBRATION = f"{_CALIBRATIONS}/{{}}"  # folder of a calibration, by number
+CALIBRATION = f"{CALIBRATIONS}/{{}}"  # folder of a calibration, by number
 RESULTS = "results/{}"  # group in the store, by number of the calibration
 PIXELS = "0"  # the array of frames in the store: the finest scale of an OME-NGFF image
 

@@ -1,16 +1,19 @@
-"""A Zarr v3 array that grows frame by frame; each frame is one chunk, and so one file.
+"""A Zarr v3 array that grows frame by frame.
 
-The Zarr library makes the store. Chunks hold plain little-endian values and are written and read here: ten times
-faster, which leaves the processor to the live path; missing frames are distinguished from zeros; and an array can be
-read while it grows, beyond the length in its metadata. A frame takes few system calls, because at each one another
-thread may take over for 5 ms.
+Chunks hold plain little-endian values of some frames, one after the other. The store is written and read without the
+Zarr library, whose import takes half a second and whose writing ten times as long: the processor is for the live path.
+Missing frames are distinguished from zeros, and an array can be read while it grows, beyond the length in its metadata.
+A frame takes few system calls, because at each one another thread may take over.
 """
 
 import json
 import math
 import os
+from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Literal, Self
+from types import MappingProxyType
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +25,8 @@ from app.recording.folder import PIXELS
 METADATA = "zarr.json"  # in the folder of an array or group
 HINT = "svwfs recover lists the readable frames"  # of what is damaged
 _STEP = 4096  # frames by which an array grows
-_WRITE = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | getattr(os, "O_BINARY", 0)
+_FRAMES_IN_CHUNK, _CHUNK_BYTES = 16, 8 << 20  # at most; a new file takes as long as writing 1 MB
+_WRITE = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
 _TYPES = ("uint16", "float32", "float64")  # of pixels and results
 _DIMENSIONS = {
     PIXELS: ("y", "x"),
@@ -50,51 +54,53 @@ class FrameArray:
         try:
             self._metadata = json.loads((path / METADATA).read_text("utf-8"))
             self.length, *shape = (int(count) for count in self._metadata["shape"])
+            self._in_chunk, *chunk_shape = map(int, self._metadata["chunk_grid"]["configuration"]["chunk_shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])
             is_ours = self._metadata["codecs"] == _CODECS and self._metadata["data_type"] in _TYPES
-            is_ours &= self._metadata["chunk_grid"]["configuration"]["chunk_shape"] == [1, *shape]
+            is_ours &= chunk_shape == shape and self._in_chunk > 0
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             why = f"not an array of a recording: {in_words(error)}"
             raise InputError(f"{path / METADATA}: is damaged: {why}") from error
         if not is_ours:
-            raise InputError(
-                f"{path}: is damaged: not an array of one plain chunk of {' or '.join(_TYPES)} for each frame"
-            )
+            raise InputError(f"{path}: is damaged: not an array of plain chunks of whole frames, {' or '.join(_TYPES)}")
         self.shape = tuple(shape)
         self._path = path
         self._last = self._separator.join("0" * len(shape))
+        self._file, self._number, self._written = -1, -1, 0  # open chunk, its number, and the bytes in it
 
     @classmethod
     def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
         """Make an array for values like these of one frame; its first dimension is `t`, the frame.
 
-        With the separator "/", which OME-NGFF demands for images, each frame has its own folder; with "." all chunks
-        lie in one.
+        With the separator "/", which OME-NGFF demands for images, each chunk has its own folder; with "." all lie in
+        one.
         """
-        separator: Literal["/", "."] = "/" if name == PIXELS else "."
-        import zarr  # noqa: PLC0415 - takes a fifth of a second, and only a new recording needs it
-
-        zarr.open_group(store, mode="a").create_array(
-            name,
-            shape=(_STEP, *values.shape),
-            chunks=(1, *values.shape),
-            dtype=values.dtype.name,
-            compressors=None,
-            filters=None,
-            fill_value=math.nan if values.dtype.kind == "f" else 0,
-            chunk_key_encoding={"name": "default", "separator": separator},
-            dimension_names=("t", *_DIMENSIONS[name.rpartition("/")[2]]),
+        group, separator = store, "/" if name == PIXELS else "."
+        in_chunk = max(1, min(_FRAMES_IN_CHUNK, _CHUNK_BYTES // max(values.nbytes, 1)))
+        for part in Path(name).parent.parts:
+            group /= part
+            if not (group / METADATA).exists():
+                make_group(group)
+        _write_metadata(
+            store / name,
+            {
+                "shape": [_STEP, *values.shape],
+                "data_type": values.dtype.name,
+                "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [in_chunk, *values.shape]}},
+                "chunk_key_encoding": {"name": "default", "configuration": {"separator": separator}},
+                "fill_value": "NaN" if values.dtype.kind == "f" else 0,
+                "codecs": _CODECS,
+                "attributes": {},
+                "dimension_names": ["t", *_DIMENSIONS[name.rpartition("/")[2]]],
+                "zarr_format": 3,
+                "node_type": "array",
+                "storage_transformers": [],
+            },
         )
-        made = cls(store / name)
         if separator == "/":
-            (store / name / "c").mkdir(exist_ok=True)
-        for folder in (store / name, *(store / name).parents):
-            if not (folder / METADATA).exists():
-                break
-            sync(folder / METADATA)
-            sync(folder)
-        return made
+            (store / name / "c").mkdir()
+        return cls(store / name)
 
     def write(self, index: int, values: NDArray[Any]) -> int:
         """Write the values of one frame, of `shape`, growing if necessary; return the number of bytes."""
@@ -102,40 +108,54 @@ class FrameArray:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
         if index >= self.length:
             self.set_length((index // _STEP + 1) * _STEP)
-        if self._separator == "/":
-            folder = f"{self._path}/c/{index}"
-            for _ in self.shape:
-                os.mkdir(folder)  # noqa: PTH102 - pathlib is slower
-                folder += "/0"
-        file = os.open(self._chunk(index), _WRITE, 0o666)
-        try:
-            left = memoryview(np.ascontiguousarray(values, self._type).data).cast("B")
-            while left:
-                left = left[os.write(file, left) :]
-        finally:
-            os.close(file)
+        number, place = divmod(index, self._in_chunk)
+        if number != self._number or self._file < 0:
+            self._open(number)
+        begin = place * self._bytes
+        if begin > self._written:
+            self._append(self._missing((begin - self._written) // self._bytes))
+        elif begin < self._written:
+            self._written = os.lseek(self._file, begin, os.SEEK_SET)
+        self._append(values)
+        if place + 1 == self._in_chunk:
+            self.close()
         return self._bytes
+
+    def close(self) -> None:
+        """Close the open chunk, if any."""
+        if self._file >= 0:
+            os.close(self._file)
+            self._file = -1
 
     def read(self, index: int) -> NDArray[Any] | None:
         """The values of one frame, None if they are missing; `DamagedFrame` if they are damaged."""
-        chunk = self._chunk(index)
+        number, place = divmod(index, self._in_chunk)
+        chunk, begin = self._chunk(number), place * self._bytes
         try:
             size = chunk.stat().st_size
-            if size != self._bytes:  # also a pipe, which would have to be waited for
-                raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {self._bytes}; {HINT}")
-            values = np.fromfile(chunk, self._type)
+            if place and size <= begin:
+                return None
+            if (
+                not begin + self._bytes <= size <= self._in_chunk * self._bytes
+            ):  # also a pipe, which would have to be waited for
+                raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {begin + self._bytes}; {HINT}")
+            values = np.fromfile(chunk, self._type, math.prod(self.shape), offset=begin)
         except FileNotFoundError:
             return None
         except OSError as error:
             raise DamagedFrame(f"{chunk}: cannot be read: {in_words(error)}; {HINT}") from error
+        if self._in_chunk > 1 and self._type.kind == "f" and np.isnan(values).all():
+            return None
         return values.reshape(self.shape).astype(self._type.newbyteorder("="), copy=False)
 
     def is_whole(self, index: int) -> bool:
         """True if all values of a frame exist."""
+        number, place = divmod(index, self._in_chunk)
         try:
-            return self._chunk(index).stat().st_size == self._bytes
+            size = self._chunk(number).stat().st_size
         except OSError:
             return False
+        return (place + 1) * self._bytes <= size <= self._in_chunk * self._bytes
 
     def set_length(self, length: int) -> None:
         """Change the length in the metadata; chunks stay."""
@@ -143,16 +163,71 @@ class FrameArray:
         write_whole(self._path / METADATA, json.dumps(self._metadata, indent=2))
         self.length = length
 
+    def finish(self, length: int) -> None:
+        """Set the length and fill up the chunks: with missing frames up to the length, beyond it with zeros."""
+        self.close()
+        self.set_length(length)
+        whole = self._in_chunk * self._bytes
+        chunks = self._path.glob(f"c{self._separator}*{self._separator}{self._last}") if self._in_chunk > 1 else ()
+        for chunk in chunks:
+            if (size := chunk.stat().st_size) < whole:
+                number = int(chunk.relative_to(self._path).as_posix().replace("/", ".").split(".")[1])
+                frames = size // self._bytes
+                self._open(number)
+                os.ftruncate(self._file, frames * self._bytes)
+                self._written = os.lseek(self._file, 0, os.SEEK_END)
+                self._append(self._missing(min(self._in_chunk, length - number * self._in_chunk) - frames))
+                os.ftruncate(self._file, whole)  # takes no room on a full disk
+                self.close()
+
     def remove(self, index: int) -> None:
-        """Remove the values of a frame."""
-        self._chunk(index).unlink(missing_ok=True)
+        """Remove the values of a frame, and of later ones in its chunk."""
+        self.close()
+        number, place = divmod(index, self._in_chunk)
+        if not place:
+            self._chunk(number).unlink(missing_ok=True)
+        elif self.is_whole(index - 1):
+            os.truncate(self._chunk(number), place * self._bytes)
 
     @property
     def _bytes(self) -> int:
         return math.prod(self.shape) * int(self._type.itemsize)
 
-    def _chunk(self, index: int) -> Path:
-        return self._path / self._separator.join(("c", str(index), self._last))
+    def _missing(self, frames: int) -> NDArray[Any]:
+        return np.full((max(frames, 0), *self.shape), np.nan if self._type.kind == "f" else 0, self._type)
+
+    def _open(self, number: int) -> None:
+        self.close()
+        if self._separator == "/":
+            folder = f"{self._path}/c/{number}"
+            for _ in self.shape:
+                with suppress(FileExistsError):
+                    os.mkdir(folder)  # noqa: PTH102 - pathlib is slower
+                folder += "/0"
+        is_new = self._in_chunk == 1
+        self._file, self._number = os.open(self._chunk(number), _WRITE | os.O_TRUNC * is_new, 0o666), number
+        self._written = 0 if is_new else os.lseek(self._file, 0, os.SEEK_END)
+
+    def _append(self, values: NDArray[Any]) -> None:
+        left = memoryview(np.ascontiguousarray(values, self._type).reshape(-1).data).cast("B")
+        while left:
+            count = os.write(self._file, left)
+            self._written += count
+            left = left[count:]
+
+    def _chunk(self, number: int) -> Path:
+        return Path(f"{self._path}/c{self._separator}{number}{self._separator}{self._last}")
+
+
+def make_group(path: Path, attributes: Mapping[str, Any] = MappingProxyType({})) -> None:
+    """Make a Zarr group."""
+    _write_metadata(path, {"attributes": dict(attributes), "zarr_format": 3, "node_type": "group"})
+
+
+def _write_metadata(folder: Path, metadata: Mapping[str, Any]) -> None:
+    """Write a folder's metadata; they and the folder's name are on the disk afterwards."""
+    write_whole(folder / METADATA, json.dumps(metadata, indent=2))
+    sync(folder.parent)
 
 
 def _size(shape: tuple[int, ...]) -> str:

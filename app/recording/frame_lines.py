@@ -61,7 +61,10 @@ class FrameLine:
 
     def to_json(self) -> str:
         """Return the line without its newline."""
-        return json.dumps(asdict(self), allow_nan=False)
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        if self.sample is not None:
+            fields["sample"] = asdict(self.sample)
+        return json.dumps(fields, allow_nan=False)
 
     @classmethod
     def from_json(cls, line: str | bytes) -> FrameLine:

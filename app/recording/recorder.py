@@ -65,7 +65,8 @@ class RecordingState:
 class BackgroundRecording:
     """One recording and the thread that writes it, started at once.
 
-    `records` are written first. `limit` counts the frames after them, and can be replaced at any time.
+    `records` are written first; what frames `like` an earlier one need is there before them. `limit` counts the frames
+    after the records, and can be replaced at any time.
     """
 
     def __init__(
@@ -75,9 +76,10 @@ class BackgroundRecording:
         timings: Timings,
         *,
         records: Sequence[Record] = (),
+        like: Record | None = None,
         limit: RecordingLimit = NO_LIMIT,
     ) -> None:
-        self._folder, self._facts, self._timings = folder, facts, timings
+        self._folder, self._facts, self._timings, self._like = folder, facts, timings, like
         self._waiting = deque(records)
         self._waiting_bytes = sum(record.nbytes for record in records)
         self._acquired = len(records)
@@ -168,6 +170,8 @@ class BackgroundRecording:
 
     def _write(self, writer: RecordingWriter) -> None:
         try:
+            if self._like is not None:
+                writer.prepare(self._like)
             with ThreadPoolExecutor(1, "recorder-sync") as syncing:
                 synced, synced_s = syncing.submit(writer.sync), time.perf_counter()
                 for record in self._records():
@@ -249,7 +253,8 @@ class Recorder:
             if self._recording is not None and not self._recording.state.is_over:
                 raise InputError(f"{self._recording.state.folder}: is still being recorded")
             folder = new_folder(folder) if may_rename else folder
-            self._recording = BackgroundRecording(folder, facts, self._timings, limit=limit)
+            like = self._recent[-1] if self._recent else None
+            self._recording = BackgroundRecording(folder, facts, self._timings, like=like, limit=limit)
 
     def limit(self, limit: RecordingLimit) -> None:
         """Replace the limit of the recording, if one is on."""

@@ -158,7 +158,7 @@ def _finish(recording: Recording, found: Recovered) -> None:
     """Set the length of the arrays and mark the recording complete."""
     store = recording.folder / STORE
     for path in filter(is_array, [store / PIXELS, *store.glob(RESULTS.format("*") + "/*")]):
-        FrameArray(path).set_length(found.frames)
+        FrameArray(path).finish(found.frames)
     counts = {"recorded": found.frames, "reconstructed": found.reconstructed, "lost": found.lost}
     ended = {"complete": True, "ended": now(), "ended_early": _WHY, "frames": counts}
     write_record(recording.folder / RUN, {**recording.run, **ended})

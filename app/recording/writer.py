@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, Any, Generic, TypeVar
@@ -19,14 +20,41 @@ from app.files import make_folder, sync
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Gap, Measurement
 from app.recording.calibration_files import write_array, write_calibration
-from app.recording.folder import BIAS, CALIBRATION, FORMAT, FRAME_LINES, PIXELS, RESULTS, RUN, STORE, check_free, lock
-from app.recording.frame_array import FrameArray
+from app.recording.folder import (
+    BIAS,
+    CALIBRATION,
+    CALIBRATIONS,
+    FORMAT,
+    FRAME_LINES,
+    PIXELS,
+    RESULTS,
+    RUN,
+    STORE,
+    check_free,
+    lock,
+)
+from app.recording.frame_array import FrameArray, make_group
 from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import mean_rms
 
 T = TypeVar("T")
+
+_OME = {  # an OME-NGFF 0.5 image with one scale
+    "ome": {
+        "version": "0.5",
+        "multiscales": [
+            {
+                "name": "frames",
+                "axes": [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}],
+                "datasets": [
+                    {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}
+                ],
+            }
+        ],
+    }
+}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +138,7 @@ class RecordingWriter:
             (folder / FRAME_LINES).unlink()
             raise
         self._arrays: dict[str, FrameArray] = {}
+        make_group(folder / STORE, _OME)
         self._calibrations = _Numbered[Calibration](
             lambda number, calibration: write_calibration(folder / CALIBRATION.format(number), calibration)
         )
@@ -123,16 +152,22 @@ class RecordingWriter:
         index, made = self.frames, record.made
         calibration = self._calibrations.number_of(made.calibration)
         bias = self._biases.number_of(made.assumed.refinement.bias)
-        self._put(PIXELS, index, made.frame.pixels)
-        for name, values in (("displacement", record.displacement), ("coefficients", record.coefficients)):
-            if calibration is not None and values is not None:
-                self._put(f"{RESULTS.format(calibration)}/{name}", index, values)
+        for name, array, values in self._parts(record, calibration):
+            try:
+                self.bytes += array.write(index, values)
+            except RunError as error:
+                raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
         self._write_line(record.line(index, calibration=calibration, bias=bias))
         self.frames += 1
         self.reconstructed += not made.problem
         self.lost += made.lost
         if made.gap is not None and index:
             self.gaps.append(made.gap)
+
+    def prepare(self, record: Record) -> None:
+        """Make what frames like this one need; without frames, `finish` removes it."""
+        for _ in self._parts(record, self._calibrations.number_of(record.made.calibration)):
+            pass
 
     def sync(self) -> None:
         """Force the lines to disk, so that they survive a power failure."""
@@ -151,7 +186,10 @@ class RecordingWriter:
                 array.remove(self.frames)
             os.ftruncate(self._lines.fileno(), self._lines_bytes)
         for array in self._arrays.values():
-            array.set_length(self.frames)
+            array.finish(self.frames)
+        if not self.frames:
+            for prepared in (STORE, CALIBRATIONS):
+                shutil.rmtree(self._folder / prepared, ignore_errors=True)
         self.sync()
         counts = {"acquired": acquired, "recorded": self.frames, "reconstructed": self.reconstructed, "lost": self.lost}
         ended = {"complete": True, "ended": now(), "ended_early": ended_early, "frames": counts}
@@ -159,6 +197,8 @@ class RecordingWriter:
 
     def close(self) -> None:
         """Close the files."""
+        for array in self._arrays.values():
+            array.close()
         self._lines.close()
 
     def _write_line(self, line: FrameLine) -> None:
@@ -168,15 +208,17 @@ class RecordingWriter:
             left = left[self._lines.write(left) :]
         self._lines_bytes += length
 
-    def _put(self, name: str, index: int, values: NDArray[Any]) -> None:
-        if name not in self._arrays:
-            if not self._arrays:
-                make_store(self._folder / STORE)
-            self._arrays[name] = FrameArray.create(self._folder / STORE, name, values)
-        try:
-            self.bytes += self._arrays[name].write(index, values)
-        except RunError as error:
-            raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
+    def _parts(self, record: Record, calibration: int | None) -> Iterator[tuple[str, FrameArray, NDArray[Any]]]:
+        """Yield the names, arrays and values of a record; new arrays are made."""
+        parts: list[tuple[str, NDArray[Any] | None]] = [(PIXELS, record.made.frame.pixels)]
+        if calibration is not None:
+            results = RESULTS.format(calibration)
+            parts += (f"{results}/displacement", record.displacement), (f"{results}/coefficients", record.coefficients)
+        for name, values in parts:
+            if values is not None:
+                if (array := self._arrays.get(name)) is None:
+                    array = self._arrays[name] = FrameArray.create(self._folder / STORE, name, values)
+                yield name, array, values
 
 
 class _Numbered(Generic[T]):
@@ -209,13 +251,3 @@ def _create_lines(folder: Path) -> IO[bytes]:
         lines.close()
         raise
     return lines
-
-
-def make_store(path: Path) -> None:
-    """Make the Zarr group, which is an OME-NGFF 0.5 image with one scale."""
-    import zarr  # noqa: PLC0415 - takes a fifth of a second, and only a new recording needs it
-
-    axes = [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}]
-    scale = {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}
-    multiscales = [{"name": "frames", "axes": axes, "datasets": [scale]}]
-    zarr.create_group(path, attributes={"ome": {"version": "0.5", "multiscales": multiscales}})

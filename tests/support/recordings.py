@@ -18,12 +18,12 @@ from app.acquisition.devices import open_devices
 from app.acquisition.instrument import Instrument
 from app.bench.config import Bench, load_bench, write_bench
 from app.recording.folder import PIXELS, STORE
-from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import checksum
 from app.recording.reader import Recording
 from app.recording.writer import Record, RecordingWriter
 from reconstruction.runtime.threads import one_blas_thread
 from support.patience import HANG_S
+from support.records import frame_file
 
 
 def _facts(bench: Bench, instrument: Instrument) -> dict[str, Any]:
@@ -85,4 +85,4 @@ def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16])
 
 def remove_coefficients(recording: Recording, index: int) -> None:
     """Remove the coefficients of a frame with the first calibration."""
-    FrameArray(recording.folder / STORE / "results" / "0" / "coefficients").remove(index)
+    frame_file(recording.folder, index, "results/0/coefficients").unlink()

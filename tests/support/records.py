@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -72,6 +74,32 @@ def write(folder: Path, records: list[Record], *, finish: bool = True) -> Record
         writer.finish("", acquired=len(records), facts={})
     writer.close()
     return writer
+
+
+def frame_file(folder: Path, index: int, array: str = "0") -> Path:
+    """Return the file of one frame, after giving each frame of the array its own, as version 0.3 did."""
+    path = folder / "frames.zarr" / array
+    metadata = json.loads((path / "zarr.json").read_text())
+    in_chunk, *shape = metadata["chunk_grid"]["configuration"]["chunk_shape"]
+    separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
+
+    def file(number: int) -> Path:
+        return path / separator.join(("c", str(number), *("0" for _ in shape)))
+
+    if in_chunk > 1:
+        size = math.prod(shape) * np.dtype(metadata["data_type"]).itemsize
+        numbers = range(-(-metadata["shape"][0] // in_chunk))
+        chunks = {number: file(number).read_bytes() for number in numbers if file(number).exists()}
+        metadata["chunk_grid"]["configuration"]["chunk_shape"][0] = 1
+        (path / "zarr.json").write_text(json.dumps(metadata))
+        for number in chunks:
+            file(number).unlink()
+        for number, held in chunks.items():
+            for place in range(min(len(held) // size, metadata["shape"][0] - number * in_chunk)):
+                one = file(number * in_chunk + place)
+                one.parent.mkdir(parents=True, exist_ok=True)
+                one.write_bytes(held[place * size : (place + 1) * size])
+    return file(index)
 
 
 def wait(recording: BackgroundRecording | Recorder, stages: set[str]) -> RecordingState:

@@ -14,6 +14,7 @@ import xarray as xr
 from support.batches import QUICK, Counting, assert_equals_replay, batch, files_of, small_blocks
 from support.command_line import run
 from support.recordings import edit_line, record, replace_pixels
+from support.records import frame_file
 
 import svwfs
 from app import files
@@ -165,12 +166,12 @@ def test_interrupted_run_is_continued(recordings: list[Recording], tmp_path: Pat
 
 
 def _cut_pixels(mine: Recording) -> None:
-    path = mine.folder / "frames.zarr/0/c/6/0/0"
+    path = frame_file(mine.folder, 6)
     path.write_bytes(path.read_bytes()[:100])
 
 
 def _flip_bit(mine: Recording) -> None:
-    path = mine.folder / "frames.zarr/0/c/6/0/0"
+    path = frame_file(mine.folder, 6)
     held = path.read_bytes()
     path.write_bytes(held[:100] + bytes([held[100] ^ 1]) + held[101:])
 
@@ -201,7 +202,7 @@ DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
 DAMAGED_FRAMES: dict[str, tuple[Callable[[Recording], object], str]] = {
     "half a frame": (_cut_pixels, "is damaged: 100 bytes"),
     "a flipped bit": (_flip_bit, "the pixels of frame 6 are not those that were recorded"),
-    "no pixels": (lambda mine: shutil.rmtree(mine.folder / "frames.zarr/0/c/6"), "pixels of frame 6 are missing"),
+    "no pixels": (lambda mine: frame_file(mine.folder, 6).unlink(), "pixels of frame 6 are missing"),
     "a damaged line": (lambda mine: edit_line(mine, 6, lost="many"), "line 7 is damaged"),
 }
 

@@ -29,7 +29,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 PARTS = (
     "run.json",
     "frames.jsonl",
-    "frames.zarr/0/c/1/0/0",
+    "frames.zarr/0/c/0/0/0",
     "calibrations/0/reference.npz",
     "calibrations/0/bench.toml",
 )

@@ -14,6 +14,7 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 from support.recordings import record
+from support.records import frame_file
 from support.window_tools import picture, press
 
 from app.acquisition.worker import Acquisition
@@ -258,7 +259,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     window: MainWindow, qtbot: QtBot, own_recording: Recording
 ) -> None:
     """Frame 3 has lost its pixels, frame 5 its line."""
-    shutil.rmtree(own_recording.folder / "frames.zarr" / "0" / "c" / "3")
+    frame_file(own_recording.folder, 3).unlink()
     lines = (own_recording.folder / "frames.jsonl").read_bytes().splitlines(keepends=True)
     lines[5] = b"x" * (len(lines[5]) - 1) + b"\n"
     (own_recording.folder / "frames.jsonl").write_bytes(b"".join(lines))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -11,8 +12,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.optics import SmallBench
+from support.paths import ROOT
 from support.patience import HANG_S, wait_until
-from support.records import FACTS, make_frame, make_record, wait, write
+from support.records import FACTS, make_frame, make_record, noisy_calibration, wait, write
 
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, Gap, Measurement
@@ -43,6 +46,40 @@ def test_recording_ends_after_the_requested_frames(tmp_path: Path) -> None:
     recorder_.close("the camera was unplugged")
     assert Recording(tmp_path / "again").ended_early == "the camera was unplugged"
     assert len(Recording(tmp_path / "again")) == 0
+
+
+def test_recording_is_prepared_before_its_first_frame_and_without_zarr(tmp_path: Path) -> None:
+    """In a program of its own: importing Zarr would stop the live path for half a second."""
+    script = (
+        "import sys, time; from pathlib import Path; from support.records import FACTS, make_record; "
+        "from app.recording.recorder import Recorder; from app.timing import Timings; "
+        "recorder = Recorder(Timings()); recorder.take(make_record(0).made); "
+        "recorder.start(Path('r'), FACTS); "
+        "end_s = time.monotonic() + 30\n"
+        "while not Path('r/frames.zarr/0/c').is_dir() and time.monotonic() < end_s: time.sleep(0.01)\n"
+        "before = set(sys.modules); recorder.take(make_record(1).made); recorder.close('')\n"
+        "assert recorder.state.frames == 1\n"
+        "print(sorted(set(sys.modules) - before), 'zarr' in sys.modules)"
+    )
+    paths = {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])}
+    made = subprocess.run(  # noqa: S603 - our own
+        [sys.executable, "-c", script],
+        cwd=tmp_path,
+        env=os.environ | paths,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert made.stdout == "[] False\n", made.stderr
+
+
+def test_preparation_leaves_nothing_without_frames(tmp_path: Path, small_bench: SmallBench) -> None:
+    recorder_ = Recorder(Timings())
+    recorder_.take(replace(make_record(0, noisy_calibration(small_bench)).made, problem="dark"))
+    recorder_.start(tmp_path / "r", FACTS)
+    recorder_.stop()
+    assert wait(recorder_, {"finished"}).frames == 0
+    assert {each.name for each in (tmp_path / "r").iterdir()} == {"run.json", "frames.jsonl"}
 
 
 def test_recording_ends_after_the_requested_time(tmp_path: Path) -> None:

@@ -72,18 +72,19 @@ def test_zarr_library_and_ome_readers_read_the_same(
     tmp_path: Path, calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(frame_array, "_STEP", 4)  # so that the arrays grow
-    records = [*make_records(calibration, 9), make_record(9)]
+    records = [*make_records(calibration, 9), make_record(9), make_record(10, calibration)]  # all in one chunk
     write(tmp_path / "growing", records, finish=False)
     assert zarr.open_array(tmp_path / "growing" / "frames.zarr" / "0", mode="r").shape == (12, *SHAPE)
     write(tmp_path / "r", records)
     group = zarr.open_group(tmp_path / "r" / "frames.zarr", mode="r")
     frames = group["0"]
     assert isinstance(frames, zarr.Array)
-    assert frames.shape == (10, *SHAPE)
+    assert frames.shape == (11, *SHAPE)
     assert frames.metadata.dimension_names == ("t", "y", "x")  # type: ignore[union-attr] # of Zarr v3
     np.testing.assert_array_equal(frames[:], [record.made.frame.pixels for record in records])
     coefficients = np.asarray(group["results/0/coefficients"])
     np.testing.assert_array_equal(coefficients[:9], [record.coefficients for record in records[:9]])
+    np.testing.assert_array_equal(coefficients[10], records[10].coefficients)
     assert np.isnan(coefficients[9]).all()
     image: Any = group.attrs["ome"]
     assert image["version"] == "0.5"

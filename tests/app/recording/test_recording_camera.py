@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from support.recorded_camera import EXPOSURE_S, FRAMES, copied, steady_recording
 from support.recordings import edit_line
+from support.records import frame_file
 
 from app.bench.config import write_bench
 from app.bench.device_kinds import Pace
@@ -310,7 +311,7 @@ def test_missing_dark_or_reference_times_out_with_the_reason(
 
 def test_damaged_frame_counts_as_lost(steady: Recording, clock: ManualClock, tmp_path: Path) -> None:
     recording = copied(steady, tmp_path / "run")
-    chunk = recording.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
+    chunk = frame_file(recording.folder, 1)
     chunk.write_bytes(chunk.read_bytes()[:1000])
     with player(recording, clock) as camera:
         camera.start()
@@ -325,7 +326,7 @@ def test_damaged_frame_counts_as_lost(steady: Recording, clock: ManualClock, tmp
 
 def test_recording_with_damaged_first_frame_opens(steady: Recording, tmp_path: Path) -> None:
     recording = copied(steady, tmp_path / "run")
-    (recording.folder / "frames.zarr/0/c/0/0/0").unlink()
+    frame_file(recording.folder, 0).unlink()
     with player(recording, ManualClock(), pace="fastest") as camera:
         camera.start()
         with pytest.raises(FrameLost, match="the pixels of frame 0 are missing"):

@@ -11,6 +11,7 @@ import pytest
 from support.camera_contract import CameraContract, CameraFaultContract, CameraFaults
 from support.light_contract import LightContract
 from support.recordings import edit_line, record
+from support.records import frame_file
 from support.stage_contract import StageContract
 
 from app.recording.playback_devices import RecordedCamera, RecordedLight, RecordedStage
@@ -66,6 +67,7 @@ class Stick:
         self.path, self._away = folder / "run", folder / "elsewhere" / "run"  # beside it, it would be found
         self._away.parent.mkdir()
         shutil.copytree(recording, self.path)
+        frame_file(self.path, 0)  # each frame its own, to damage one
         (self.path / "calibrations/0/dark.npz").unlink()
         self._camera: RecordedCamera | None = None
 
@@ -89,7 +91,7 @@ class Stick:
         assert self._camera is not None
         first = self._camera.next_frame
         for index in range(first, first + count):
-            chunk = self.path / f"frames.zarr/0/c/{index}/0/0"
+            chunk = frame_file(self.path, index)
             if index == first:
                 chunk.write_bytes(chunk.read_bytes()[:1001])
             else:

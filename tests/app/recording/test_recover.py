@@ -5,6 +5,8 @@ from __future__ import annotations
 import binascii
 import errno
 import json
+import math
+import os
 import re
 import shutil
 from collections.abc import Callable, Sequence
@@ -17,7 +19,7 @@ import pytest
 import zarr
 from support.command_line import run
 from support.optics import SmallBench
-from support.records import RANDOM, SHAPE, make_record, make_records, noisy_calibration, write
+from support.records import RANDOM, SHAPE, frame_file, make_record, make_records, noisy_calibration, write
 
 import svwfs
 from app.commands.recover import print_recovered
@@ -36,24 +38,20 @@ def calibration(small_bench: SmallBench) -> Calibration:
     return noisy_calibration(small_bench)
 
 
-def _chunk(folder: Path, index: int) -> Path:
-    return folder / f"frames.zarr/0/c/{index}/0/0"
-
-
 def _lose_pixels(folder: Path, *frames: int) -> None:
     for frame in frames:
-        _chunk(folder, frame).unlink()
+        frame_file(folder, frame).unlink()
 
 
 def _cut_short(folder: Path, frame: int) -> None:
-    _chunk(folder, frame).write_bytes(_chunk(folder, frame).read_bytes()[:50])
+    frame_file(folder, frame).write_bytes(frame_file(folder, frame).read_bytes()[:50])
 
 
 def _flip(folder: Path, frame: int) -> None:
     """Change one bit of a frame's pixels."""
-    held = bytearray(_chunk(folder, frame).read_bytes())
+    held = bytearray(frame_file(folder, frame).read_bytes())
     held[len(held) // 2] ^= 4
-    _chunk(folder, frame).write_bytes(held)
+    frame_file(folder, frame).write_bytes(held)
 
 
 def _spoil_line(folder: Path, frame: int) -> None:
@@ -185,6 +183,26 @@ def test_lines_after_the_last_whole_frame_are_put_aside(tmp_path: Path, calibrat
     assert zarr.open_array(tmp_path / "r" / "frames.zarr" / "0", mode="r").shape == (5, *SHAPE)
 
 
+@pytest.mark.parametrize("lost", [1, 150, 1000])
+def test_power_failure_loses_the_end_of_a_chunk_only(tmp_path: Path, calibration: Calibration, lost: int) -> None:
+    """The last of two chunks, with frames 16 to 19, lacks some bytes."""
+    records = make_records(calibration, 20)
+    write(tmp_path / "r", records, finish=False)
+    chunk, size = tmp_path / "r/frames.zarr/0/c/1/0/0", 2 * math.prod(SHAPE)
+    os.truncate(chunk, max(4 * size - lost, 0))
+    kept = 16 + max(4 * size - lost, 0) // size
+    found = recover(tmp_path / "r")
+    assert (found.whole, found.damage) == (list(range(kept)), ())
+    group = zarr.open_group(tmp_path / "r" / "frames.zarr", mode="r")
+    recording, pixels = Recording(tmp_path / "r"), np.asarray(group["0"])
+    displacements = np.asarray(group["results/0/displacement"])
+    assert len(pixels) == len(displacements) == kept
+    for index in range(kept):
+        np.testing.assert_array_equal(pixels[index], records[index].made.frame.pixels)
+        np.testing.assert_array_equal(recording.pixels(index), records[index].made.frame.pixels)
+        np.testing.assert_array_equal(displacements[index], records[index].displacement)
+
+
 def test_lines_of_a_copy_that_was_cut_short_are_listed(tmp_path: Path, calibration: Calibration) -> None:
     write(tmp_path / "r", make_records(calibration, 10))
     path = tmp_path / "r" / "frames.jsonl"
@@ -307,7 +325,7 @@ def _flip_reference(folder: Path) -> None:
         (lambda r: (r / "calibrations/0/camera.json").write_text("{}"), lambda r: r.calibration(0), "full_scale"),
         (lambda r: (r / "calibrations/0/bench.toml").write_text("[sensor]"), lambda r: r.calibration(0), "bench.toml"),
         (lambda r: (r / "biases/0.npy").write_bytes(b"x"), lambda r: r.bias(0), "0.npy"),
-        (lambda r: _chunk(r, 1).write_bytes(b"x"), lambda r: r.pixels(1), "1 bytes instead of .*; svwfs recover lists"),
+        (lambda r: frame_file(r, 1).write_bytes(b"x"), lambda r: r.pixels(1), "1 bytes instead of .*; svwfs recover"),
         (lambda r: _lose_pixels(r, 1), lambda r: r.pixels(1), "missing; svwfs recover lists the readable frames"),
         (lambda r: None, lambda r: r.calibration(7), "7"),
         (lambda r: None, lambda r: r.line(2), "has no frame 2; it has 2"),
@@ -363,10 +381,12 @@ def test_flipped_bit_is_named_by_every_reader(tmp_path: Path, calibration: Calib
         read(2)
 
 
-def test_checksum_is_that_of_the_chunk(tmp_path: Path, calibration: Calibration) -> None:
-    write(tmp_path / "r", [make_record(0, calibration)])
-    line = json.loads((tmp_path / "r" / "frames.jsonl").read_text())
-    assert int(line["crc32"], 16) == binascii.crc32(_chunk(tmp_path / "r", 0).read_bytes())
+def test_checksum_is_that_of_the_frame_in_its_chunk(tmp_path: Path, calibration: Calibration) -> None:
+    write(tmp_path / "r", make_records(calibration, 2))
+    lines = (tmp_path / "r" / "frames.jsonl").read_text().splitlines()
+    chunk, size = (tmp_path / "r/frames.zarr/0/c/0/0/0").read_bytes(), 2 * math.prod(SHAPE)
+    for index, line in enumerate(lines):
+        assert int(json.loads(line)["crc32"], 16) == binascii.crc32(chunk[index * size : (index + 1) * size])
 
 
 def test_recording_without_checksums_opens(tmp_path: Path, calibration: Calibration) -> None:

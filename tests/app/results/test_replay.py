@@ -16,6 +16,7 @@ import pytest
 import xarray as xr
 from support.command_line import run
 from support.recordings import edit_line, record, remove_coefficients, replace_pixels
+from support.records import frame_file
 
 from app.bench.config import write_bench
 from app.bench.imaging_model import lenslet_model
@@ -218,7 +219,7 @@ def test_other_software_version_is_named(mine: Recording) -> None:
 DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
     "a result is missing": (lambda mine: remove_coefficients(mine, 6), "frame 6: coefficients are damaged or missing"),
     "a result is cut short": (
-        lambda mine: (mine.folder / "frames.zarr/results/0/displacement/c.7.0.0.0.0").write_bytes(b"half"),
+        lambda mine: frame_file(mine.folder, 7, "results/0/displacement").write_bytes(b"half"),
         "frame 7: displacements are damaged or missing",
     ),
     "a problem is invented": (

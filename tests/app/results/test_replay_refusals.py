@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from support.command_line import run
 from support.recordings import edit_line, record
+from support.records import frame_file
 
 from app.recording.reader import Recording
 
@@ -60,7 +61,7 @@ def _misshape_bias(mine: Recording) -> None:
 
 
 def _truncate(mine: Recording) -> None:
-    path = mine.folder / "frames.zarr" / "0" / "c" / "1" / "0" / "0"
+    path = frame_file(mine.folder, 1)
     path.write_bytes(path.read_bytes()[:100])
 
 
