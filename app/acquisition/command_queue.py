@@ -42,7 +42,7 @@ class CommandQueue:
         self._refusal: str | None = None  # why commands are refused; None while they are accepted
 
     def submit(
-        self, command: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
+        self, command: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
     ) -> Future[T]:
         """Append a command; its future has a `WrongState` if the queue is closed."""
         future: Future[T] = Future()

@@ -11,12 +11,13 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
 from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
 from app.acquisition.watchdog import stat_of
 from app.acquisition.watchdog_light import WatchdogLight
-from app.bench.config import Bench, changes_in_words, with_known
+from app.bench.config import Bench, changes_in_words, with_known, write_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import (
     EXPOSURE_FRAMES,
@@ -35,6 +36,7 @@ from app.measurement.routines import NO_CALLBACKS, AcquisitionSettings, RoutineC
 from app.measurement.sensor_region import SensorArea, moved_bench, moved_lattice, set_area
 from app.progress import counted
 from app.recording.playback_devices import RecordedLight
+from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit
 from app.timing import Timings
 from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
 from reconstruction.displacement import Displacement
@@ -44,6 +46,8 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
 
+CLOSING_S = 45.0  # until a closed instrument ends: a frame of the slowest method takes up to half of it
+WINDOW = "live"  # command of the recordings of a window, and of those that name none
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
 
@@ -109,6 +113,15 @@ class Status:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class Activity:
+    """Work besides taking frames, with its progress; empty text if there is none."""
+
+    text: str = ""
+    progress: float = 0.0
+    may_cancel: bool = True
+
+
 class Instrument:
     """Devices with their dark, reference and estimator."""
 
@@ -117,6 +130,7 @@ class Instrument:
         devices: Devices,
         bench: Bench,
         *,
+        recorder: Recorder | None = None,
         timings: Timings | None = None,
         show_preparation: Callable[[str], object] = lambda _: None,
         callbacks: Callable[[Instrument, str], RoutineCallbacks] = lambda _, __: NO_CALLBACKS,
@@ -124,6 +138,7 @@ class Instrument:
         """`show_preparation` receives what is prepared for seconds, and why; `watch` each routine."""
         self.devices, self._show_preparation, self._callbacks = devices, show_preparation, callbacks
         self._timings = timings or Timings()
+        self._recorder = recorder or Recorder(self._timings)
         self.bench = bench  # with the current settings
         self.darks, self.references = (
             DarkReferenceStore("dark", is_lit=False),
@@ -287,7 +302,9 @@ class Instrument:
         """Read out another area of the sensor, the camera paused; return the area that the camera accepted.
 
         The lattice moves with it. Dark and reference become unusable until they are retaken or the area is restored.
+        Refused during a recording; the last seconds are dropped, since all frames of a recording have one size.
         """
+        self._recorder.require_none("the region cannot change during a recording: stop the recording (W)")
         camera, before = self.devices.camera, SensorArea.of(self.devices.camera)
         whole = camera.capabilities.sensor
         with camera.paused():
@@ -301,6 +318,7 @@ class Instrument:
         if taken != before:
             self.bench, self._lattice = bench, lattice
             self._choose_averages("for the new region")
+            self._recorder.forget_recent()
         return taken
 
     def change_settings(self, changes: Iterable[tuple[str, Any]], mask: str | None = None) -> None:
@@ -322,6 +340,24 @@ class Instrument:
             self._prepare(f"with {words}")
         else:
             self._choose_averages(f"for the mask {mask}, with {words}")
+
+    def start_recording(
+        self, folder: Path, *, command: str = WINDOW, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False
+    ) -> None:
+        """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
+
+        If the folder exists, `may_rename` chooses a new name beside it; `recording` tells which. `InputError` if the
+        folder is not free or a recording is under way. Later failures, such as a full disk, end only the recording and
+        are shown by `recording`.
+        """
+        self._recorder.start(folder, self._facts(command), limit=limit, may_rename=may_rename)
+
+    def keep_recent(self, folder: Path, *, may_rename: bool = False) -> None:
+        """Write the last ten seconds as a recording, even during another one; see `start_recording`."""
+        self._recorder.keep_recent(folder, self._facts(WINDOW), may_rename=may_rename)
+
+    def _facts(self, command: str) -> dict[str, Any]:
+        return {"command": command, "bench": write_bench(self.bench), "devices": self.properties()}
 
     @property
     def calibration(self) -> Calibration | None:

@@ -13,23 +13,22 @@ from contextlib import AbstractContextManager, closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Concatenate, ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
+from app.acquisition.commands import Commands
 from app.acquisition.frame_path import FramePath, read_frame
-from app.acquisition.instrument import Instrument, ProcessState, Status
-from app.acquisition.running_instrument import WINDOW, Activity
+from app.acquisition.instrument import Activity, Instrument, ProcessState, Status
 from app.acquisition.streams.publisher import stream_sinks
-from app.bench.config import Bench, write_bench
+from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
 from app.measurement.routines import Cancelled, RoutineCallbacks
-from app.measurement.sensor_region import SensorArea
 from app.progress import run_in_thread
-from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit, RecordingState
+from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import StageTimes, TimedStage, Timings
-from drivers.interface import DeviceError, Devices, Frame, LightSource, OffCount, WrongState
+from drivers.interface import DeviceError, Devices, Frame, LightSource, OffCount
 from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
 
 T = TypeVar("T")
@@ -48,18 +47,7 @@ _FIRST_FRAMES = 5
 _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light must not cost frames
 
 
-def _between_frames(
-    request: Callable[Concatenate[Instrument, P], T],
-) -> Callable[Concatenate["Acquisition", P], Future[T]]:
-    """Return the method that executes a request of the instrument between two frames."""
-
-    def send(acquisition: "Acquisition", /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
-        return acquisition._commands.submit(request, *arguments, **named)  # noqa: SLF001 - one of its methods
-
-    return send
-
-
-class Acquisition:
+class Acquisition(Commands):
     """The worker thread, with a recorder; it alone calls devices, but to switch the light off.
 
     Requests may come from any thread and return at once, most of them with a future. Results are published as the bench
@@ -78,7 +66,7 @@ class Acquisition:
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices or bench_devices.open_devices
         self._off_count = OffCount()  # of the light, also while it is opened
-        self._commands = CommandQueue(self._off_count, self._finish_command)
+        self.commands: CommandQueue = CommandQueue(self._off_count, self._finish_command)
         self._stopping = threading.Event()
         self._cancelling = threading.Event()
         self._light: LightSource | None = None
@@ -104,36 +92,17 @@ class Acquisition:
         self._thread.start()
 
     def submit(
-        self, request: Callable[Concatenate[Instrument, P], T], *arguments: P.args, **named: P.kwargs
+        self, request: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
     ) -> Future[T]:
         """Execute any request of the instrument between two frames.
 
         The future resolves after `status` is updated. A routine shows its progress as `activity`.
         """
-        return self._commands.submit(request, *arguments, **named)
-
-    set_running = _between_frames(Instrument.set_running)
-    set_exposure_s = _between_frames(Instrument.set_exposure_s)
-    set_em_gain = _between_frames(Instrument.set_em_gain)
-    set_amplifier = _between_frames(Instrument.set_amplifier)
-    set_readout_speed = _between_frames(Instrument.set_readout_speed)
-    set_current_a = _between_frames(Instrument.set_current_a)
-    set_light_on = _between_frames(Instrument.set_light_on)
-    set_sample_in = _between_frames(Instrument.set_sample_in)
-    take_dark = _between_frames(Instrument.take_dark)
-    take_reference = _between_frames(Instrument.take_reference)
-    use = _between_frames(Instrument.use)
-    auto_expose = _between_frames(Instrument.auto_expose)
-    expose_without_sample = _between_frames(Instrument.expose_without_sample)
-    check_background = _between_frames(Instrument.check_background)
-    find_lattice = _between_frames(Instrument.find_lattice)
-    survey_lattice = _between_frames(Instrument.survey_lattice)
-    measure_linearity = _between_frames(Instrument.measure_linearity)
-    change_settings = _between_frames(Instrument.change_settings)
+        return self.commands.submit(request, *arguments, **named)
 
     def holding_commands(self) -> AbstractContextManager[object]:
         """Begin no command within a `with` block: one of those that are sent in it may switch the light off."""
-        return self._commands.beginning
+        return self.commands.beginning
 
     def stage_times(self) -> Future[dict[TimedStage, StageTimes]]:
         """Find the statistics of the times of all stages; that takes milliseconds."""
@@ -163,22 +132,6 @@ class Acquisition:
             if self.status is not None:
                 self.status = replace(self.status, is_light_on=False)
 
-    def set_area(self, area: SensorArea) -> Future[SensorArea]:
-        """Read out another area of the sensor; see `Instrument.set_area`.
-
-        Refused during a recording; the last seconds are dropped, since all frames of a recording have one size.
-        """
-
-        def command(instrument: Instrument) -> SensorArea:
-            if self.recording is not None and self.recording.stage == "recording":
-                raise WrongState("the region cannot change during a recording: stop the recording (W)")
-            before, taken = SensorArea.of(instrument.devices.camera), instrument.set_area(area)
-            if taken != before:
-                self._recorder.forget_recent()
-            return taken
-
-        return self.submit(command)
-
     def show_file(self, path: Path) -> Future[None]:
         """Stop the camera, and reconstruct and publish the frame of an image file, as if it came from there."""
         return self.show_single(lambda instrument: read_frame(path, instrument.devices.camera), path.name)
@@ -190,28 +143,12 @@ class Acquisition:
         """
 
         def command(instrument: Instrument) -> None:
-            if self.recording is not None and self.recording.stage == "recording":
-                raise WrongState(f"{file}: is not shown during a recording, of which it would be part")
+            self._recorder.require_none(f"{file}: is not shown during a recording, of which it would be part")
             frame = choose(instrument)  # may refuse: the camera goes on
             instrument.devices.camera.stop()
             self._path.process_single(frame, instrument, self._light_state(), file)
 
         return self.submit(command)
-
-    def start_recording(
-        self, folder: Path, *, command: str = WINDOW, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False
-    ) -> Future[None]:
-        """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
-
-        If the folder exists, `may_rename` chooses a new name beside it; `recording` tells which. The future has an
-        `InputError` if the folder is not free or a recording is under way. Later failures, such as a full disk, end
-        only the recording and are shown by `recording`.
-        """
-        return self.submit(
-            lambda instrument: self._recorder.start(
-                folder, _facts(instrument, command), limit=limit, may_rename=may_rename
-            )
-        )
 
     def limit_recording(self, limit: RecordingLimit) -> Future[None]:
         """Replace the limit of the current recording, if any, and of one that waits for its start."""
@@ -220,12 +157,6 @@ class Acquisition:
     def stop_recording(self) -> Future[None]:
         """End the current recording, if any, and one that waits for its start; it is finished soon after."""
         return self._now_and_in_turn(self._recorder.stop)
-
-    def keep_recent(self, folder: Path, *, may_rename: bool = False) -> Future[None]:
-        """Write the last ten seconds as a recording, even during another one; see `start_recording`."""
-        return self.submit(
-            lambda instrument: self._recorder.keep_recent(folder, _facts(instrument, WINDOW), may_rename=may_rename)
-        )
 
     def free_minutes(self, folder: Path) -> Future[float]:
         """Find the recording time left in a folder at the current rate; see `Recorder.free_minutes`."""
@@ -298,7 +229,7 @@ class Acquisition:
     def _now_and_in_turn(self, act: Callable[[], None]) -> Future[None]:
         """Act at once, and again behind the commands that wait: one of them may start a recording."""
         act()
-        self._commands.submit(lambda _: act())  # refused at the end, when no recording can start
+        self.commands.submit(lambda _: act())  # refused at the end, when no recording can start
         return done()
 
     def _work(self) -> None:
@@ -312,6 +243,7 @@ class Acquisition:
                     Instrument(
                         devices,
                         self.bench,
+                        recorder=self._recorder,
                         timings=self.timings,
                         show_preparation=self._show_preparation,
                         callbacks=self._callbacks,
@@ -343,7 +275,7 @@ class Acquisition:
             if not (isinstance(error, RuntimeError) and self._stopping.is_set()):
                 raise
         finally:
-            self._commands.close(self.failure or "the acquisition has ended")
+            self.commands.close(self.failure or "the acquisition has ended")
             self._recorder.close(self.failure)
             self._activity = Activity()
 
@@ -379,11 +311,11 @@ class Acquisition:
 
     def _execute_commands(self, instrument: Instrument, *, may_wait: bool) -> None:
         self._keep_alive(_ALIVE_S)
-        execute = self._commands.next(_IDLE_S if may_wait else 0.0)
+        execute = self.commands.next(_IDLE_S if may_wait else 0.0)
         while execute is not None:
             self._keep_alive(_COMMAND_S)
             execute(instrument)
-            execute = self._commands.next()
+            execute = self.commands.next()
 
     def _show_alive(self) -> None:
         frames_s = min(_ALIVE_FRAMES * self._path.measured_in_s, _PREPARATION_S)
@@ -397,7 +329,7 @@ class Acquisition:
         """Return whether the worker should stop waiting for a frame; also polls the status in long exposures."""
         self._show_alive()
         self._poll_status(instrument)
-        return self._stopping.is_set() or not self._commands.is_empty
+        return self._stopping.is_set() or not self.commands.is_empty
 
     def _poll_status(self, instrument: Instrument) -> None:
         if time.monotonic() > self._status_due_s:
@@ -412,7 +344,3 @@ class Acquisition:
 
     def _light_state(self) -> LightState | None:
         return None if self.status is None else LightState(self.status.is_light_on, self.status.current_a)
-
-
-def _facts(instrument: Instrument, command: str) -> dict[str, Any]:
-    return {"command": command, "bench": write_bench(instrument.bench), "devices": instrument.properties()}

@@ -8,7 +8,8 @@ from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
-from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
+from app.acquisition.instrument import CLOSING_S
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench

@@ -22,6 +22,7 @@ from app.recording.folder import check_free, new_folder
 from app.recording.writer import Record, RecordingWriter
 from app.run_facts import timing_facts
 from app.timing import Timings
+from drivers.interface import WrongState
 from reconstruction.runtime.threads import name_threads
 
 RECENT_S = 10.0
@@ -301,6 +302,11 @@ class Recorder:
     def kept_state(self) -> RecordingState | None:
         """State of the last `keep_recent`; None before the first."""
         return None if self._kept is None else self._kept.state
+
+    def require_none(self, why: str) -> None:
+        """Raise `WrongState` with this reason during a recording."""
+        if (state := self.state) is not None and state.stage == "recording":
+            raise WrongState(why)
 
     def free_minutes(self, folder: Path) -> float:
         """Time until the disk of a folder is full at the present rate; infinite without frames.

@@ -19,8 +19,8 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QAction, QImage
 from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 
+from app.acquisition.commands import Commands
 from app.acquisition.devices import open_devices
-from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.instrument_factory import InstrumentFactory
@@ -124,7 +124,7 @@ class Photographer:
         self._wait(window.messages.accept.isVisible)
         self._save("proposal", window)
         window.messages.discard.click()
-        window.controls.wanted.emit(RunningInstrument.set_exposure_s, 0.03)
+        window.controls.wanted.emit(Commands.set_exposure_s, 0.03)
         self._save("stale", window)
         window.controls.light.click()
         self._save("light_off", window)

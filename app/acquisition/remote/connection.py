@@ -11,20 +11,20 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
-from app.acquisition.instrument import Condition, ProcessState, Status
+from app.acquisition.commands import Commands
+from app.acquisition.instrument import Activity, Condition, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Heartbeat, Hello, NewFrame, SharedObject, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
 from app.acquisition.remote.serialization import Encoded, unpacked
-from app.acquisition.running_instrument import Activity, RunningInstrument
 from app.acquisition.wakeup_pipe import WakeupPipe
+from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
@@ -54,18 +54,17 @@ def reach(
 
 
 def _sent(
-    request: Callable[Concatenate[RunningInstrument, P], Future[T]],
+    request: Callable[Concatenate[Acquisition, P], Future[T]],
 ) -> Callable[Concatenate["Connection", P], Future[T]]:
-    """Return the same request of a connection; relative paths are those of this process."""
+    """Return the same request of a connection."""
 
     def send(connection: "Connection", /, *arguments: P.args, **named: P.kwargs) -> Future[T]:
-        absolute = (each.absolute() if isinstance(each, Path) else each for each in arguments)
-        return connection._send(request.__name__, *absolute, **named)  # noqa: SLF001 - one of its methods
+        return connection.commands.add(request.__name__, *arguments, **named)
 
     return send
 
 
-class Connection:
+class Connection(Commands):
     """The acquisition of another process; its newest measurements go to the sinks."""
 
     bench: Bench  # as the instrument was started with; this and what follows are those of its newest state
@@ -95,7 +94,8 @@ class Connection:
         self._is_gone = False  # whether the instrument's process is
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
-        self._pending_commands = PendingCommands(lambda: self.error or RunError(_CLOSED))
+        self._wakeup = WakeupPipe()
+        self.commands: PendingCommands = PendingCommands(self._wakeup.notify, lambda: self.error or RunError(_CLOSED))
         self._arrivals = Arrivals()
         self._pause_s = 0.0 if sinks else _SHOWN_S
         self._frames = RemoteFrames(self._arrivals.find, sinks, self._pause_s)
@@ -103,7 +103,6 @@ class Connection:
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
-        self._wakeup = WakeupPipe()
         self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._thread.start()
 
@@ -185,42 +184,21 @@ class Connection:
     def start(self) -> None:
         """Do nothing: the instrument runs."""
 
-    set_running = _sent(RunningInstrument.set_running)
-    set_exposure_s = _sent(RunningInstrument.set_exposure_s)
-    set_em_gain = _sent(RunningInstrument.set_em_gain)
-    set_amplifier = _sent(RunningInstrument.set_amplifier)
-    set_readout_speed = _sent(RunningInstrument.set_readout_speed)
-    set_current_a = _sent(RunningInstrument.set_current_a)
-    set_light_on = _sent(RunningInstrument.set_light_on)
-    set_sample_in = _sent(RunningInstrument.set_sample_in)
-    take_dark = _sent(RunningInstrument.take_dark)
-    take_reference = _sent(RunningInstrument.take_reference)
-    use = _sent(RunningInstrument.use)
-    auto_expose = _sent(RunningInstrument.auto_expose)
-    expose_without_sample = _sent(RunningInstrument.expose_without_sample)
-    check_background = _sent(RunningInstrument.check_background)
-    find_lattice = _sent(RunningInstrument.find_lattice)
-    survey_lattice = _sent(RunningInstrument.survey_lattice)
-    measure_linearity = _sent(RunningInstrument.measure_linearity)
-    change_settings = _sent(RunningInstrument.change_settings)
-    stage_times = _sent(RunningInstrument.stage_times)
-    cancel = _sent(RunningInstrument.cancel)
-    switch_light_off = _sent(RunningInstrument.switch_light_off)  # watching clients may, too
-    set_area = _sent(RunningInstrument.set_area)
-    show_file = _sent(RunningInstrument.show_file)
-    start_recording = _sent(RunningInstrument.start_recording)
-    limit_recording = _sent(RunningInstrument.limit_recording)
-    stop_recording = _sent(RunningInstrument.stop_recording)
-    keep_recent = _sent(RunningInstrument.keep_recent)
-    free_minutes = _sent(RunningInstrument.free_minutes)
+    stage_times = _sent(Acquisition.stage_times)
+    cancel = _sent(Acquisition.cancel)
+    switch_light_off = _sent(Acquisition.switch_light_off)  # watching clients may, too
+    show_file = _sent(Acquisition.show_file)
+    limit_recording = _sent(Acquisition.limit_recording)
+    stop_recording = _sent(Acquisition.stop_recording)
+    free_minutes = _sent(Acquisition.free_minutes)
 
     def take_control(self) -> Future[None]:
         """Take control from the client that has it."""
-        return self._send("take_control")
+        return self.commands.add("take_control")
 
     def shut_down(self) -> Future[None]:
         """End the instrument: light off, devices closed, recording finished."""
-        return self._send("shut_down")
+        return self.commands.add("shut_down")
 
     def end(self) -> Future[None]:
         """End the instrument, also if nobody has control."""
@@ -238,11 +216,6 @@ class Connection:
         self.begin_close()
         self._thread.join(timeout_s)
         self._frames.join(timeout_s)
-
-    def _send(self, request: str, *arguments: Any, **named: Any) -> Future[Any]:
-        future = self._pending_commands.add(request, arguments, named)
-        self._wakeup.notify()
-        return future
 
     def _say(self, message: object) -> None:
         self._say_packed(Encoded(message).message())
@@ -269,7 +242,7 @@ class Connection:
             self._ended = error
             raise
         finally:
-            self._pending_commands.close(self._ended or RunError(_CLOSED))
+            self.commands.close(self._ended or RunError(_CLOSED))
             self._has_state.set()
             self._socket.disable_monitor()
             self._context.destroy(linger=_LINGER_MS)
@@ -283,7 +256,7 @@ class Connection:
         self._say(Hello(self.name, self._takes_control, self._pause_s))
 
     def _say_outgoing(self) -> None:
-        for message in self._pending_commands.take():
+        for message in self.commands.take():
             self._say_packed(message)
 
     def _turn(self, ready: dict[Any, int]) -> None:
@@ -308,7 +281,7 @@ class Connection:
             )
         if now_s > self._said_s + _ALIVE_S:
             self._say(Heartbeat.ALIVE)
-        self._pending_commands.give_up_lost()
+        self.commands.give_up_lost()
 
     def _how_it_ended(self) -> str:
         return "has ended"
@@ -322,10 +295,10 @@ class Connection:
             case SharedObject():
                 self._arrivals.keep(message)
             case Accepted():
-                self._pending_commands.note_accepted(message.number)
+                self.commands.note_accepted(message.number)
             case Answer():
                 self._frames.outdate(message.count)
-                self._pending_commands.note_answer(message)
+                self.commands.note_answer(message)
             case Heartbeat():  # it has forgotten this client
                 self._say(Hello(self.name, False, self._pause_s))
 

@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from app.acquisition.instrument import ProcessState, Status
+from app.acquisition.instrument import Activity, ProcessState, Status
 from app.acquisition.remote.serialization import Absent
-from app.acquisition.running_instrument import Activity
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.calibration import Calibration

@@ -12,8 +12,8 @@ from types import TracebackType
 from typing import Self
 
 from app.acquisition.address import NAME, Address, file_of, is_taken
+from app.acquisition.instrument import CLOSING_S
 from app.acquisition.remote.connection import Connection
-from app.acquisition.running_instrument import CLOSING_S
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
 from app.run_facts import command_line

@@ -4,15 +4,20 @@ import itertools
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from app.acquisition.instrument import Instrument
 from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
 from app.acquisition.remote.serialization import Encoded
 from app.errors import RunError
 from drivers.errors import BadValue
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 ANSWER_S = 5.0  # for a command to be accepted, and for the first state
 _ON_ITS_WAY_S = 1.0  # for the news that it was accepted
@@ -21,16 +26,23 @@ _ON_ITS_WAY_S = 1.0  # for the news that it was accepted
 class PendingCommands:
     """Takes commands from any thread, for the one that sends them."""
 
-    def __init__(self, loss: Callable[[], Exception]) -> None:
-        """`loss` tells why nothing is sent any more, after `close`."""
-        self._loss, self._is_closed = loss, False
+    def __init__(self, notify: Callable[[], object], loss: Callable[[], Exception]) -> None:
+        """`notify` wakes the sender; `loss` tells why nothing is sent any more, after `close`."""
+        self._notify, self._loss, self._is_closed = notify, loss, False
         self._numbers, self._lock = itertools.count(1), threading.Lock()
         self._waiting: list[Command] = []
         self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when the command was sent
         self._accepted: set[int] = set()
 
-    def add(self, request: str, arguments: tuple[Any, ...], named: Mapping[str, Any]) -> Future[Any]:
-        """Take a command and return its future."""
+    def submit(
+        self, command: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
+    ) -> Future[T]:
+        """Take a command that is a method of the instrument."""
+        return self.add(command.__name__, *arguments, **named)
+
+    def add(self, request: str, /, *arguments: Any, **named: Any) -> Future[Any]:
+        """Take a command and return its future; relative paths are those of this process."""
+        arguments = tuple(each.absolute() if isinstance(each, Path) else each for each in arguments)
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
@@ -46,6 +58,7 @@ class PendingCommands:
             if not self._is_closed:
                 self._unanswered[command.number] = future, math.inf
                 self._waiting.append(command)
+                self._notify()
                 return future
         future.set_exception(self._loss())
         return future

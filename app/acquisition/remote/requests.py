@@ -1,4 +1,4 @@
-"""Requests of clients, checked against the protocol of a running instrument."""
+"""Requests of clients, checked against the methods of the acquisition."""
 
 import inspect
 from collections.abc import Callable, Iterable
@@ -8,20 +8,21 @@ from itertools import zip_longest
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
+from app.acquisition.commands import Commands
 from app.acquisition.remote.messages import Command
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.worker import Acquisition
 from drivers.errors import BadValue
 
 
-def begin_request(command: Command, acquisition: RunningInstrument) -> Future[Any]:
+def begin_request(command: Command, acquisition: Acquisition) -> Future[Any]:
     """Call the method that a command names, and return its future.
 
-    `BadValue` if the protocol has no such method that returns a future, or the arguments do not fit its annotations.
+    `BadValue` if that is no command or request of an acquisition, or the arguments do not fit its annotations.
     """
     name = command.request
-    method: Any = vars(RunningInstrument).get(name)
-    hints = get_type_hints(method) if inspect.isfunction(method) else {}
-    if get_origin(hints.get("return")) is not Future:
+    method: Any = getattr(Acquisition, name, None)
+    hints = get_type_hints(method) if inspect.isfunction(method) and not name.startswith("_") else {}
+    if name not in vars(Commands) and get_origin(hints.get("return")) is not Future:
         raise BadValue(f"the instrument knows no command {name}")
     send: Callable[..., Future[Any]] = getattr(acquisition, name)
     try:

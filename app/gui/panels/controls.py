@@ -6,9 +6,9 @@ from functools import partial
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
 
+from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import Validity
 from app.acquisition.instrument import Status
-from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
@@ -39,9 +39,9 @@ class ControlsPanel(Panel):
         self._make_devices()
         self._make_calibration()
         about = "Output amplifier; a change restarts the camera"
-        self.choices = {"amplifier": _choice(about, self._want(RunningInstrument.set_amplifier))}
+        self.choices = {"amplifier": _choice(about, self._want(Commands.set_amplifier))}
         about = "Readout speed: faster is noisier; a change restarts the camera"
-        self.choices["readout_speed"] = _choice(about, self._want(RunningInstrument.set_readout_speed))
+        self.choices["readout_speed"] = _choice(about, self._want(Commands.set_readout_speed))
         about = "Mask in front of the light; a new mask needs a new reference (R)"
         self.choices["mask"] = _choice(about, self._want("mask"))
         amplifier, speed, mask = self.choices.values()
@@ -71,9 +71,7 @@ class ControlsPanel(Panel):
 
     def _make_devices(self) -> None:
         about = "Start or stop taking frames (Space)"
-        self.start = Button(
-            "Start", about, lambda: self.wanted.emit(RunningInstrument.set_running, not self._is_running)
-        )
+        self.start = Button("Start", about, lambda: self.wanted.emit(Commands.set_running, not self._is_running))
         self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP_PX)
         about = "Choose the sensor region and the binning (P)"
         self.sensor_region = Button("Region\N{HORIZONTAL ELLIPSIS}", about, self._ask("sensor_region"))
@@ -81,9 +79,9 @@ class ControlsPanel(Panel):
         about = "Electron-multiplying gain: more signal above the read noise"
         self.em_gain = NumberField(name="Gain", decimals=1, tool_tip=about)
         self.current = NumberField(name="Current", unit="mA", decimals=1, tool_tip="Current of the light while on (C)")
-        self.exposure.entered.connect(self._want(RunningInstrument.set_exposure_s))
-        self.em_gain.entered.connect(self._want(RunningInstrument.set_em_gain))
-        self.current.entered.connect(self._want(RunningInstrument.set_current_a))
+        self.exposure.entered.connect(self._want(Commands.set_exposure_s))
+        self.em_gain.entered.connect(self._want(Commands.set_em_gain))
+        self.current.entered.connect(self._want(Commands.set_current_a))
         self.light = _LightButton("Light\noff", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(20, 20))
@@ -92,7 +90,7 @@ class ControlsPanel(Panel):
         self.light.setMinimumHeight(self.light.sizeHint().height())  # of two lines, so that nothing moves
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle(
-            "Sample out", "Move the sample into or out of the beam (S)", self._want(RunningInstrument.set_sample_in)
+            "Sample out", "Move the sample into or out of the beam (S)", self._want(Commands.set_sample_in)
         )
 
     def _make_calibration(self) -> None:
@@ -174,9 +172,9 @@ class ControlsPanel(Panel):
     def _show_fields(self, status: Status) -> None:
         allowed, wanted = status.capabilities, self.shown.wanted
         for setter, field, value, interval in (
-            (RunningInstrument.set_exposure_s, self.exposure, status.exposure_s, allowed.exposure_range_s),
-            (RunningInstrument.set_em_gain, self.em_gain, status.em_gain, allowed.em_gain_range),
-            (RunningInstrument.set_current_a, self.current, status.current_a, status.current_range_a),
+            (Commands.set_exposure_s, self.exposure, status.exposure_s, allowed.exposure_range_s),
+            (Commands.set_em_gain, self.em_gain, status.em_gain, allowed.em_gain_range),
+            (Commands.set_current_a, self.current, status.current_a, status.current_range_a),
         ):
             mark_wanted(field, is_wanted=setter in wanted)
             if self.shown.is_settled or not field.hasFocus():
@@ -188,8 +186,8 @@ class ControlsPanel(Panel):
         allowed, wanted = status.capabilities, self.shown.wanted
         amplifier, speed, mask = self.choices.values()
         for setting, choice, values, chosen in (
-            (RunningInstrument.set_amplifier, amplifier, allowed.amplifiers, status.amplifier),
-            (RunningInstrument.set_readout_speed, speed, allowed.readout_speeds, status.readout_speed),
+            (Commands.set_amplifier, amplifier, allowed.amplifiers, status.amplifier),
+            (Commands.set_readout_speed, speed, allowed.readout_speeds, status.readout_speed),
             ("mask", mask, status.masks, status.mask),
         ):
             mark_wanted(choice, is_wanted=setting in wanted)

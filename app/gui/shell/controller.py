@@ -10,11 +10,12 @@ from typing import Any, TypeVar
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
-from app.acquisition.instrument import ProcessState, Status
+from app.acquisition.commands import Commands
+from app.acquisition.instrument import CLOSING_S, ProcessState, Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_instrument import OwnConnection
-from app.acquisition.running_instrument import CLOSING_S, RunningInstrument
+from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError
@@ -26,9 +27,9 @@ from app.measurement.routines import Cancelled
 T = TypeVar("T")
 Then = Callable[[Any], object] | None  # receives a result
 Otherwise = Callable[[Exception], object] | None
-Setter = Callable[..., Future[Any]]  # method of `RunningInstrument` that changes a setting of a device
+Setter = Callable[..., Future[Any]]  # method of `Commands` that changes a setting of a device
 _MASK = "mask"
-_MODES = {RunningInstrument.set_amplifier, RunningInstrument.set_readout_speed}  # they return what else has changed
+_MODES = {Commands.set_amplifier, Commands.set_readout_speed}  # they return what else has changed
 _SILENT_S = 5.0  # for the end of a process that does not answer
 _FRAMES_MS = 500  # between two changes of the bench: they stop the camera
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"

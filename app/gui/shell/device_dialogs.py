@@ -7,8 +7,8 @@ from PyQt6.QtCore import QSettings
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
 
+from app.acquisition.commands import Commands
 from app.acquisition.instrument import Status
-from app.acquisition.running_instrument import RunningInstrument
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.status_text import area_taken
@@ -28,9 +28,9 @@ _SIDES = {
 _PRESETS_KEY = "presets/devices"  # key of the saved state
 _ABOUT_PRESETS = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
 _PRESET_SETTINGS: dict[str, tuple[object, Any]] = {  # what changes them, and the kind of their values
-    "exposure_s": (RunningInstrument.set_exposure_s, int | float),
-    "em_gain": (RunningInstrument.set_em_gain, int | float),
-    "current_a": (RunningInstrument.set_current_a, int | float),
+    "exposure_s": (Commands.set_exposure_s, int | float),
+    "em_gain": (Commands.set_em_gain, int | float),
+    "current_a": (Commands.set_current_a, int | float),
     "mask": ("mask", str),
 }
 

@@ -9,7 +9,7 @@ from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QFrame, QProgressBar
 
-from app.acquisition.running_instrument import Activity
+from app.acquisition.instrument import Activity
 from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button

@@ -3,8 +3,7 @@
 import math
 import time
 
-from app.acquisition.instrument import Status
-from app.acquisition.running_instrument import Activity
+from app.acquisition.instrument import Activity, Status
 from app.gui.panels.panel import DataFreshness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure

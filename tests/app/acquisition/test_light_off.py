@@ -12,10 +12,9 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, own_time, wait_until
 from support.served import connected, served
 
-from app.acquisition.instrument import Instrument, Status
+from app.acquisition.instrument import Activity, Instrument, Status
 from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
-from app.acquisition.running_instrument import Activity
 from app.acquisition.worker import Acquisition
 from app.measurement.routines import RoutineError
 from drivers.interface import LightHeldOff, WrongState

@@ -13,9 +13,9 @@ from support.patience import HANG_S, own_time
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
+from app.acquisition.instrument import CLOSING_S
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
-from app.acquisition.running_instrument import CLOSING_S
 from app.acquisition.worker import Acquisition
 from app.errors import RunError
 from app.gui.application import _raise_failure

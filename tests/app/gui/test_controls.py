@@ -15,8 +15,8 @@ from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.command_queue import CommandQueue
+from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import AverageState
-from app.acquisition.running_instrument import RunningInstrument
 from app.bench.device_kinds import DRIVERS
 from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow
@@ -40,7 +40,7 @@ def test_intents_reach_the_devices(live: tuple[MainWindow, FakeCamera], qtbot: Q
         (lambda: controls.current.setValue(120), lambda: camera.light.current_a == pytest.approx(0.12)),
         (lambda: controls.wanted.emit("mask", "stars"), lambda: camera.stage.mask == "stars"),
         (controls.start.click, lambda: camera.is_running),
-        (lambda: controls.wanted.emit(RunningInstrument.set_amplifier, "normal"), lambda: camera.amplifier == "normal"),
+        (lambda: controls.wanted.emit(Commands.set_amplifier, "normal"), lambda: camera.amplifier == "normal"),
     )
     for act, is_done in acts:
         act()

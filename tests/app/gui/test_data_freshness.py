@@ -17,7 +17,7 @@ from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import dim_frame, press, views
 
 from app.acquisition.dark_reference_store import AverageState
-from app.acquisition.running_instrument import Activity
+from app.acquisition.instrument import Activity
 from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import AlarmTracker, data_freshness

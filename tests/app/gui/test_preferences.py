@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.window_tools import MakeWindow, wait_for_wavefront
 
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.commands import Commands
 from app.gui.shell.device_dialogs import DevicePresets
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.state import PreferencesDialog, apply_preferences
@@ -85,7 +85,7 @@ def test_preset_restores_exposure_and_mask_also_after_a_restart(
     assert not dialog.names.count()
     dialog.name.setText("cells")
     dialog.save.click()
-    window.controls.wanted.emit(RunningInstrument.set_exposure_s, 0.03)
+    window.controls.wanted.emit(Commands.set_exposure_s, 0.03)
     window.controls.wanted.emit("mask", "stars")
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and camera.stage.mask == "stars")
     again = DevicePresets(window.controller, window.controls, settings, window)

@@ -16,7 +16,7 @@ from support.patience import HANG_S
 from support.window_tools import part, picture, press
 from test_number_field import type_text
 
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.commands import Commands
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import warning
 from app.gui.widgets import theme
@@ -196,7 +196,7 @@ def test_amplifier_change_says_what_else_it_changed(
         ("normal", "Exposure changed from 20 to 421 ms, gain changed from 7 to 1", (0.421, 1.0)),
         ("em", "Exposure changed from 421 to 20 ms, gain changed from 1 to 7", (0.02, 7.0)),
     ):
-        window.controls.wanted.emit(RunningInstrument.set_amplifier, amplifier)
+        window.controls.wanted.emit(Commands.set_amplifier, amplifier)
         qtbot.waitUntil(partial(says, window, text))
         assert (camera.exposure_s, camera.em_gain) == state
 

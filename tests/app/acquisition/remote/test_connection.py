@@ -91,8 +91,8 @@ def test_impossible_commands_are_refused() -> None:
     ]
     with connected() as connection:
         for name, arguments, error in commands:
-            assert isinstance(connection._send(name, *arguments).exception(HANG_S), error)
-        assert isinstance(connection._send("limit_recording", limit=5).exception(HANG_S), BadValue)
+            assert isinstance(connection.commands.add(name, *arguments).exception(HANG_S), error)
+        assert isinstance(connection.commands.add("limit_recording", limit=5).exception(HANG_S), BadValue)
         connection.limit_recording(limit=RecordingLimit(frames=2)).result(HANG_S)
         newest(connection)  # it goes on
 
@@ -107,14 +107,14 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
             second.take_dark(3).result(HANG_S)
         assert newest(second).wavefront is not None
         second.switch_light_off().result(HANG_S)  # anyone may
-        assert isinstance(second._send("set", {1, 2}).exception(HANG_S), TypeError)
+        assert isinstance(second.commands.add("set", {1, 2}).exception(HANG_S), TypeError)
         assert not second.take_dark(3).cancel()  # it is on its way
         assert not fake_camera.light.shines
         second.take_control().result(HANG_S)
         assert second.has_control
         second.set_light_on(True).result(HANG_S)
         with pytest.raises(WrongState, match="second"):
-            first._send("cancel").result(HANG_S)
+            first.commands.add("cancel").result(HANG_S)
 
 
 def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
