@@ -54,19 +54,19 @@ import sys
 from pathlib import Path
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.remote.connection import reach
-from app.gui.application import run_window, unattended_steps
-from app.gui.shell.instrument_factory import Access
+from app.gui.application import headless_steps, run_window
+from app.gui.shell.instrument_factory import InstrumentFactory
 
 connection = reach("client")
 
 def steps(window):
-    yield from unattended_steps(window, HeadlessRun(connection), 0.5)
+    yield from headless_steps(window, HeadlessRun(connection), 0.5)
     connection.start_recording(Path(sys.argv[1])).result()
     print("sees", flush=True)
     while True:
         yield
 
-access = Access(lambda: connection, begin=lambda _: ())
+access = InstrumentFactory(lambda: connection, begin=lambda _: ())
 run_window(lambda window: window.open(access), steps=steps)
 """
 
