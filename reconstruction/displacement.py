@@ -88,18 +88,21 @@ class Displacement:
 
     modes: FieldModes  # T_q
     coefficients: Floats  # c_q, px, (lenslet_row, lenslet_column, field_mode, xy); NaN where not converged
-    covariance_source: Floats | CovarianceSource  # `covariance`, or what computes it
+    covariance_source: Floats | CovarianceSource | Deferred[Floats]  # `covariance`, or what computes it
     outcome: LensletStatuses  # (lenslet_row, lenslet_column)
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
     transmission_source: Transmission | Deferred[Transmission] | None = None  # None: the method does not measure it
 
-    @cached_property
+    @property
     def covariance(self) -> Floats:
         """px^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy); NaN where not converged."""
-        source = self.covariance_source
-        return source if isinstance(source, np.ndarray) else source()
+        found: Floats | None = vars(self).get("_covariance")  # no cached property: see `Deferred`
+        if found is None:
+            source = self.covariance_source
+            found = vars(self)["_covariance"] = source if isinstance(source, np.ndarray) else source()
+        return found
 
     @property
     def transmission(self) -> Transmission | None:
@@ -121,7 +124,9 @@ class Displacement:
     @property
     def mean_variance(self) -> Floats:
         """Mean variance of a lenslet's coefficients, px^2, (lenslet_row, lenslet_column); NaN where not converged."""
-        source = vars(self).get("covariance", self.covariance_source)  # the covariance if it has been computed
+        source = vars(self).get("_covariance", self.covariance_source)  # the covariance if it has been computed
+        if isinstance(source, Deferred):
+            source = self.covariance
         trace = np.einsum("rcqdqd->rc", source) if isinstance(source, np.ndarray) else source.trace()
         return np.asarray(trace / (2 * self.modes.count))
 

@@ -22,6 +22,7 @@ from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.response import WarpRegistration, fitting_model, linear_response
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
 from reconstruction.solve.expected_errors import MeanGradients, Response, Sensitivity, relative_weights
@@ -266,15 +267,14 @@ class Reconstructor:
             solution = self._layered(displacement, weights, sample)
         elif self._modal is None:
             per_px = self.sensor.slope_per_px
-            slopes, covariance = displacement.coefficients * per_px, displacement.covariance * per_px**2
             weights *= self._certainty
             solution = ZonalSolution(
-                slopes=slopes,
+                slopes=displacement.coefficients * per_px,
                 valid=displacement.valid,
                 pitch_m=self.sensor.lenslet_pitch_m,
                 arrangement=self.sensor.arrangement,
                 weights=weights,
-                slope_covariance=covariance,
+                slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
             )
         else:
             solution = self._modal(displacement, weights=weights)

@@ -16,7 +16,7 @@ SOURCES = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py
 MODULES = sorted({".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES})
 PATHS_OF_ONE_SYSTEM = {
     "app/acquisition/watchdog.py": {"/proc/"},
-    "app/acquisition/remote/ring.py": {"/proc/"},
+    "app/acquisition/streams/ring.py": {"/proc/"},
     "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
     "app/evaluation/processor_time.py": {"/proc/"},
     "app/run_facts.py": {"/proc/cpuinfo"},

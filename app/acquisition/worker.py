@@ -20,7 +20,7 @@ from app.acquisition.command_queue import CommandQueue, done
 from app.acquisition.commands import Commands
 from app.acquisition.frame_path import FramePath, read_frame
 from app.acquisition.instrument import Activity, Instrument, ProcessState, Status
-from app.acquisition.streams.publisher import stream_sinks
+from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, LightState, Measurement
@@ -60,9 +60,9 @@ class Acquisition(Commands):
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
         *,
         sinks: tuple[Callable[[Measurement], None], ...] = (),
-        on_show: Callable[[Measurement], object] = lambda _: None,
+        publisher: Publisher | None = None,
     ) -> None:
-        """`sinks` receive every measurement, `on_show` the frames of routines, which are shown only."""
+        """`sinks` receive every measurement; a `publisher` writes a ring for clients."""
         self.bench = bench  # as given; the instrument has the changed settings
         self._open_devices = open_devices or bench_devices.open_devices
         self._off_count = OffCount()  # of the light, also while it is opened
@@ -76,7 +76,9 @@ class Acquisition(Commands):
         self._thread = threading.Thread(target=self._work, name="acquisition", daemon=True)
         self.timings = Timings()
         self._recorder = Recorder(self.timings)
-        self._path = FramePath((self._recorder.take, *sinks), self.timings, self._must_stop_waiting, on_show)
+        self._publisher = publisher or Publisher(bench)
+        sinks = (self._recorder.take, *sinks, self._publisher.take)
+        self._path = FramePath(sinks, self.timings, self._must_stop_waiting, self._publisher.show)
         self.status: Status | None = None  # None until the devices are open
         self._status_due_s = -math.inf  # time of the next poll
         self._activity = Activity("opening the devices")
@@ -237,7 +239,7 @@ class Acquisition(Commands):
             with (
                 one_blas_thread(),
                 short_switch_interval(),
-                stream_sinks(self.bench) as published,
+                self._publisher.running(),
                 self._open_devices(self.bench, self._show_opening) as devices,
                 closing(
                     Instrument(
@@ -250,7 +252,6 @@ class Acquisition(Commands):
                     )
                 ) as instrument,
             ):
-                self._path.sinks += published
                 devices.light.off_count, self._light = self._off_count, devices.light
                 self._keep_alive = devices.light.keep_alive
                 self._find_processes, self._processes_due_s = instrument.processes, -math.inf

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from app.acquisition.address import NAME, taken_address
-from app.cache import loading
 from app.commands import options, terminal
 from app.errors import Interrupted
 from app.measurement.routines import Cancelled
@@ -39,9 +38,8 @@ def serve(
 
     Example: svwfs serve --bench lab.toml --name left
     """
-    with loading():
-        from app.acquisition.remote.server import Server
-        from app.acquisition.start_up import start_up
+    from app.acquisition.remote.server import Server
+    from app.acquisition.start_up import start_up
 
     def begin(acquisition: Acquisition) -> None:
         def tell(step: Future[Any]) -> None:

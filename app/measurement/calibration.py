@@ -106,19 +106,25 @@ class Calibration:
         return Quality.of(Fault.LINEARITY, why)
 
     def reconstructor(self) -> Reconstructor:
-        """Build the reconstructor; `ReconstructionError` if dark, reference and settings do not fit."""
-        bench = self.bench
-        return Reconstructor(
-            self.reference.mean,
-            sensor=bench.sensor,
-            lattice=self.lattice,
-            field=bench.field,
-            registration=bench.registration,
-            reconstruction=bench.reconstruction,
-            camera=self.camera,
-            own=self.own,
-            lenslet_model=partial(lenslet_model, bench),
-        )
+        """Build the reconstructor once; `ReconstructionError` if dark, reference and settings do not fit."""
+        made: Reconstructor = _reconstructor(self)
+        return made
+
+
+@kept_while_alive(maxsize=2)
+def _reconstructor(calibration: Calibration) -> Reconstructor:
+    bench = calibration.bench
+    return Reconstructor(
+        calibration.reference.mean,
+        sensor=bench.sensor,
+        lattice=calibration.lattice,
+        field=bench.field,
+        registration=bench.registration,
+        reconstruction=bench.reconstruction,
+        camera=calibration.camera,
+        own=calibration.own,
+        lenslet_model=partial(lenslet_model, bench),
+    )
 
 
 def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_scale: float) -> Survey:

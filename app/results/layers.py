@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.bench.config import Bench
-from app.cache import kept_while_alive
 from app.errors import InputError
 from app.progress import Progress
 from app.results.result_file import about
@@ -26,10 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    from app.measurement.calibration import Calibration
     from app.measurement.measurement import Measurement
     from app.measurement.offline_reconstructor import OfflineReconstructor
-    from reconstruction.reconstructor import Reconstructor
     from reconstruction.wavefront import Wavefront
 
 Origin = Literal["lenslets", "mask"]  # where distances are measured from
@@ -345,7 +342,7 @@ def find_shown_layers(
     if calibration is None or wavefront is None:
         return WITHOUT_WAVEFRONT
     try:
-        layers = _reconstructor(calibration).layers(wavefront.displacement)
+        layers = calibration.reconstructor().layers(wavefront.displacement)
         found = search_layers(layers, count, check=check) if count else layers.fit(ratio)
     except ReconstructionError as error:
         return str(error)
@@ -353,9 +350,3 @@ def find_shown_layers(
     phase = shown["layer_phase"]
     values, limits_rad = zip(*map(centred, phase.values), strict=True)
     return shown.assign(layer_phase=phase.copy(data=np.array(values)), phase_limit=("layer", list(limits_rad)))
-
-
-@kept_while_alive(maxsize=1)
-def _reconstructor(calibration: Calibration) -> Reconstructor:
-    """Another reconstructor than that of the acquisition, because measurements do not carry it."""
-    return calibration.reconstructor()

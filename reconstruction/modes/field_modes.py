@@ -92,12 +92,15 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
     return np.asarray(np.linalg.qr(coefficients.T)[0].T)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
 class SampledModes:
-    """Lagrange polynomials of a grid, row by row: c_q is the displacement at node q."""
+    """Lagrange polynomials of a grid, row by row: c_q is the displacement at node q.
 
-    def __init__(self, x: Floats, y: Floats) -> None:
-        """Take nodes at all combinations of the normalised x (column,) and y (row,)."""
-        self.x, self.y = x, y
+    The nodes lie at all combinations of x and y.
+    """
+
+    x: Floats  # normalised, (column,)
+    y: Floats  # normalised, (row,)
 
     @property
     def count(self) -> int:

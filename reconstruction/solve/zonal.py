@@ -16,6 +16,7 @@ from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import Booleans, Floats
 from reconstruction.geometry import Arrangement, lenslet_centers
+from reconstruction.runtime.deferred import Deferred
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -27,7 +28,7 @@ class ZonalSolution:
     pitch_m: float
     arrangement: Arrangement
     weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
-    slope_covariance: Floats | None = None  # (rad/m)^2, (lenslet_row, lenslet_column, field_mode, xy, field_mode, xy)
+    slope_covariance: Deferred[Floats] | None = None  # (rad/m)^2, (row, column, field_mode, xy, field_mode, xy)
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, for values (..., field_mode) of the field modes; see `ModalSolution`."""
@@ -43,7 +44,8 @@ class ZonalSolution:
         if equations is not None and self.slope_covariance is not None:
             unit = np.eye(self.valid.size)
             by_slope = [equations.solve(unit, axis) * self.pitch_m for axis in (0, 1)]  # each (node, lenslet)
-            noise = self.slope_covariance.reshape(self.valid.size, *self.slope_covariance.shape[2:])
+            covariance = self.slope_covariance()
+            noise = covariance.reshape(self.valid.size, *covariance.shape[2:])
             noise = np.where(self.valid.ravel()[:, None, None, None, None], noise, 0.0)
             at_view = np.einsum("...q,lqarb,...r->...lab", field_modes, noise, field_modes, optimize=True)
             variance = sum(

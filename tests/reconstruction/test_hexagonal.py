@@ -11,6 +11,7 @@ from support.optics import sensor_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, lenslet_centers
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
@@ -90,7 +91,7 @@ def test_zonal_error_bars_are_the_scatter_of_noisy_wavefronts() -> None:
         valid=valid,
         pitch_m=1.0,
         arrangement="hexagonal",
-        slope_covariance=covariance,
+        slope_covariance=Deferred(lambda: covariance),
     )
     np.testing.assert_allclose(solution.sigma(np.ones(1)), scatter, rtol=0.08)
 

@@ -8,6 +8,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import diagonal_covariance
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
@@ -32,7 +33,7 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
         valid=valid,
         pitch_m=SENSOR.lenslet_pitch_m,
         arrangement="square",
-        slope_covariance=diagonal_covariance(variance),
+        slope_covariance=Deferred(lambda: diagonal_covariance(variance)),
     )
     return Wavefront.of(SENSOR, FIELD, displacement, solution)
 

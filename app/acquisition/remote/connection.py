@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import suppress
+from functools import partial
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 import zmq
@@ -20,9 +21,10 @@ from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.commands import Commands
 from app.acquisition.instrument import Activity, Condition, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Arrivals, Heartbeat, Hello, NewFrame, SharedObject, State
+from app.acquisition.remote.messages import Accepted, Answer, Heartbeat, Hello, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
-from app.acquisition.remote.serialization import Encoded, unpacked
+from app.acquisition.serialization import encoded, unpacked
+from app.acquisition.streams.messages import NewFrame
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -96,9 +98,8 @@ class Connection(Commands):
         self._ended: Exception | None = None
         self._wakeup = WakeupPipe()
         self.commands: PendingCommands = PendingCommands(self._wakeup.notify, lambda: self.error or RunError(_CLOSED))
-        self._arrivals = Arrivals()
         self._pause_s = 0.0 if sinks else _SHOWN_S
-        self._frames = RemoteFrames(self._arrivals.find, sinks, self._pause_s)
+        self._frames = RemoteFrames(partial(self.commands.add, "detail"), sinks, self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
@@ -218,7 +219,7 @@ class Connection(Commands):
         self._frames.join(timeout_s)
 
     def _say(self, message: object) -> None:
-        self._say_packed(Encoded(message).message())
+        self._say_packed(encoded(message).message())
 
     def _say_packed(self, message: bytearray) -> None:
         with suppress(zmq.Again):  # the instrument stands still
@@ -265,7 +266,7 @@ class Connection(Commands):
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
-            self._take(unpacked(self._socket.recv(), self._arrivals.find))
+            self._take(unpacked(self._socket.recv()))
         if is_gone and self._ended is None:
             self._is_gone, self._started = True, ()
             clear_abandoned(self.address.name, timeout_s=DYING_S)
@@ -292,8 +293,6 @@ class Connection(Commands):
                 self._take_state(message)
             case NewFrame():
                 self._frames.announce(message)
-            case SharedObject():
-                self._arrivals.keep(message)
             case Accepted():
                 self.commands.note_accepted(message.number)
             case Answer():

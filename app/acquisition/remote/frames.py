@@ -1,50 +1,56 @@
 """Frames of another process's instrument, with their wavefronts: the newest on a thread, or every one.
 
-The wavefront is solved here from the displacements, as it was there. Preparing that takes a second, in which commands
-and signs of life must go on.
+What the instrument has computed arrives with each frame. The rest is asked for when it is needed, and computed here
+from the pixels if the instrument does not answer.
 """
 
 import struct
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, TypeAlias
 
-from app.acquisition.remote.messages import NewFrame, RingRecord
-from app.acquisition.remote.ring import RingReader
-from app.acquisition.remote.serialization import Absent, unpacked
+import numpy as np
+from numpy.typing import NDArray
+
+from app.acquisition.serialization import unpacked_frame
+from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, Modes, NewFrame, OwnFacts
+from app.acquisition.streams.ring import RingReader
 from app.errors import RunError
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import Estimator
 from app.measurement.measurement import Measurement
-from app.progress import run_in_thread
-from reconstruction.errors import ReconstructionError
+from drivers.errors import DeviceError
+from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
-from reconstruction.reconstructor import Reconstructor
+from reconstruction.modes.pupil_modes import PupilModes
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
+from reconstruction.solve.zonal import ZonalSolution
+from reconstruction.wavefront import Solution, Wavefront
 
 _WAIT_S = 0.1
-_ESTIMATORS = 2  # kept: two references may alternate
-_AHEAD_BYTES = 512e6  # of pixels that are read while an estimator is prepared
+_ANSWER_S = 2.0  # for a detail; then it is computed here
+_SHARED = 8  # objects kept
 _REPLACED_S = 3.0  # for the notice of the next ring, after one could not be opened
+
+Ask: TypeAlias = Callable[[str, int], Future[Any]]
+"""Asks the instrument for a shared object, or for a detail of a frame; see `Publisher.detail`."""
 
 
 class RemoteFrames:
     """Reads the ring of an instrument: every newest measurement goes to the sinks, and lies in `newest`."""
 
-    def __init__(
-        self, find: Callable[[int], Any], sinks: tuple[Callable[[Measurement], None], ...], pause_s: float
-    ) -> None:
-        """`find` returns an object by its number, or raises `Absent`; a pause follows each measurement."""
-        self._find, self._sinks, self._pause_s = find, sinks, pause_s
+    def __init__(self, ask: Ask, sinks: tuple[Callable[[Measurement], None], ...], pause_s: float) -> None:
+        """A pause follows each measurement."""
+        self._ask, self._sinks, self._pause_s = ask, sinks, pause_s
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
-        self._preparation, self._looking_up = lru_cache(_ESTIMATORS)(_prepare), threading.Lock()
+        self._shared, self._asking = dict[int, Any](), threading.Lock()
         self.overtaken = 0  # records that the instrument replaced before, or while, they were read here
         self._missed, self._counting = bytearray(), threading.Lock()  # 1 for each of them, by its count
         self._new_frame, self._has_news = NewFrame("", 0), threading.Condition()
@@ -54,10 +60,7 @@ class RemoteFrames:
         self._thread.start()
 
     def every(self) -> Iterator[Measurement]:
-        """Yield each measurement from now on, in order and once, but those that `overtaken` counts.
-
-        While an estimator is prepared, which takes seconds, the frames that come are read ahead.
-        """
+        """Yield each measurement from now on, in order and once, but those that `overtaken` counts."""
         return self._each(_Follower(self._note_missed, self._new_frame.count, is_every_read=True))
 
     def announce(self, new_frame: NewFrame) -> None:
@@ -86,28 +89,28 @@ class RemoteFrames:
             # Another thread of BLAS would take processor time from the instrument by waiting busily.
             with one_blas_thread(), closing(_Follower(self._note_missed)) as follower:
                 while not self._closing.is_set():
-                    new_frame = self._new_frame
-                    if (record := self._next(follower, new_frame)) is None:
+                    new_frame, due_s = self._new_frame, time.monotonic() + self._pause_s
+                    if (found := self._next(follower, new_frame)) is None:
                         self._wait_for_news(new_frame)
-                    else:
-                        due_s = time.monotonic() + self._pause_s
-                        self._deliver(record, follower.count)
-                        self._closing.wait(due_s - time.monotonic())
+                        continue
+                    facts, measurement = found
+                    with self._delivering:
+                        if not facts.is_shown_only and follower.count > self._outdated:
+                            for sink in self._sinks:
+                                sink(measurement)
+                    self.newest = measurement
+                    self._closing.wait(due_s - time.monotonic())
         except Exception as error:  # noqa: BLE001 - the connection ends with it
             self.error = error
 
     def _each(self, follower: "_Follower") -> Iterator[Measurement]:
-        ahead, most = deque[Measurement](), 1
         with closing(follower):
             while True:
                 new_frame, is_over = self._new_frame, self._closing.is_set()
-                if ahead and (is_over or self._is_prepared(ahead[0])):
-                    yield self._solved(ahead.popleft())
-                elif len(ahead) < most and (record := self._next(follower, new_frame)) is not None:
-                    if not record.is_shown_only:
-                        ahead.append(record.measurement)
-                        most = int(_AHEAD_BYTES / record.measurement.frame.pixels.nbytes)
-                elif is_over and not ahead:
+                if (found := self._next(follower, new_frame)) is not None:
+                    if not found[0].is_shown_only:
+                        yield found[1]
+                elif is_over:
                     return
                 else:
                     self._wait_for_news(new_frame)
@@ -120,51 +123,102 @@ class RemoteFrames:
             self._missed[count] = 1
 
     def _wait_for_news(self, new_frame: NewFrame) -> None:
-        """Wait for another notice; not for long, as an absent object comes without one."""
+        """Wait for another notice."""
         with self._has_news:
             self._has_news.wait_for(lambda: self._new_frame is not new_frame or self._closing.is_set(), _WAIT_S)
 
-    def _next(self, follower: "_Follower", new_frame: NewFrame) -> RingRecord | None:
-        """The record that a follower reads next; None if it is not there yet, or lacks an object."""
+    def _next(self, follower: "_Follower", new_frame: NewFrame) -> tuple[OwnFacts, Measurement] | None:
+        """The frame that a follower reads next; None if it is not there yet, or an object of it does not arrive."""
         if not new_frame.ring or (found := follower.next(new_frame.ring)) is None:
             return None
         count, body = found
+        facts, arrays = unpacked_frame(body)
         try:
-            record: RingRecord = unpacked(body, self._find)
-        except Absent:
+            calibration, modes = (None if each is None else self._object(each) for each in facts[2:4])
+        except (RunError, DeviceError, TimeoutError):  # the instrument stands still, or ends
             return None
         follower.count = count
-        return record
+        made = replace(facts.measurement, calibration=calibration)
+        if calibration is None or modes is None:
+            return facts, made
+        return facts, _with_wavefront(made, calibration, facts, modes, arrays, lambda name: self._ask(name, count))
 
-    def _deliver(self, record: RingRecord, count: int) -> None:
-        measurement = self._solved(record.measurement)
-        with self._delivering:
-            if not record.is_shown_only and count > self._outdated:
-                for sink in self._sinks:
-                    sink(measurement)
-        self.newest = measurement
-
-    def _reconstructor(self, calibration: Calibration) -> Future[Reconstructor]:
-        """Return the reconstructor of a calibration, which the first call begins to prepare."""
-        with self._looking_up:
-            return self._preparation(calibration)
-
-    def _is_prepared(self, made: Measurement) -> bool:
-        return made.problem != "" or made.calibration is None or self._reconstructor(made.calibration).done()
-
-    def _solved(self, made: Measurement) -> Measurement:
-        if made.problem or made.calibration is None or made.registered is None:
-            return made
-        try:
-            reconstructor = self._reconstructor(made.calibration).result()
-            bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
-            return replace(made, wavefront=reconstructor.solve(made.registered, bias=bias, sample=sample))
-        except ReconstructionError as error:
-            return replace(made, problem=str(error))
+    def _object(self, number: int) -> Any:
+        """Return a shared object, which the first call asks for."""
+        with self._asking:
+            if number not in self._shared:
+                self._shared[number] = self._ask("object", number).result(_ANSWER_S)
+                if len(self._shared) > _SHARED:
+                    del self._shared[min(self._shared)]
+            return self._shared[number]
 
 
-def _prepare(calibration: Calibration) -> Future[Reconstructor]:
-    return run_in_thread(lambda: Estimator(calibration).reconstructor, "estimator")[0]
+def _with_wavefront(
+    made: Measurement,
+    calibration: Calibration,
+    facts: OwnFacts,
+    modes: Modes,
+    arrays: dict[str, NDArray[Any]],
+    ask: Callable[[str], Future[Any]],
+) -> Measurement:
+    """Return a measurement with its displacements and wavefront, whose costly parts are asked for when needed."""
+    solved_here = Deferred(lambda: _solved_here(made, calibration))
+
+    def detail(name: str) -> Deferred[Any]:
+        def find() -> Any:
+            try:
+                return ask(name).result(_ANSWER_S)
+            except (RunError, DeviceError, TimeoutError):  # the frame is too old, or the instrument has ended
+                return DETAILS[name](solved_here())
+
+        return Deferred(find)
+
+    sensor, bias = calibration.bench.sensor, made.assumed.refinement.bias
+    registered = Displacement(
+        modes.field,
+        arrays["displacement"],
+        detail("covariance"),
+        **{name: arrays[name] for name in OF_LENSLETS},
+        transmission_source=detail("transmission") if facts.has_transmission else None,
+    )
+    displacement = registered if bias is None else registered.minus(bias)
+    solution: Solution
+    if modes.pupil is not None and modes.parameters is not None:
+        solution = ModalSolution(
+            coefficients=arrays["coefficients"],
+            _known=_known(modes.pupil, arrays["known"].tobytes()),
+            _root_covariance=detail("root_covariance"),
+            freedom=facts.freedom,
+            _displacement=displacement,
+            parameters=modes.parameters,
+            fitted=detail("fitted"),
+        )
+    else:
+        per_px = sensor.slope_per_px
+        solution = ZonalSolution(
+            slopes=displacement.coefficients * per_px,
+            valid=displacement.valid,
+            pitch_m=sensor.lenslet_pitch_m,
+            arrangement=sensor.arrangement,
+            weights=arrays.get("weights"),
+            slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
+        )
+    sample = made.assumed.sample or FREE
+    wavefront = Wavefront(sensor, calibration.bench.field, displacement, solution, arrays["wavefront"], sample)
+    return replace(made, registered=registered, wavefront=wavefront)
+
+
+@lru_cache(maxsize=4)
+def _known(modes: PupilModes, lenslets: bytes) -> KnownModes:
+    return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
+
+
+def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:
+    """Register and solve a frame again; the estimator of its calibration is prepared first, which takes seconds."""
+    bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
+    with one_blas_thread():
+        reconstructor = calibration.reconstructor()
+        return reconstructor.solve(reconstructor.register(made.frame.pixels), bias=bias, sample=sample)
 
 
 class _Follower:

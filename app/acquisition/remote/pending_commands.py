@@ -12,7 +12,7 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
-from app.acquisition.remote.serialization import Encoded
+from app.acquisition.serialization import encoded
 from app.errors import RunError
 from drivers.errors import BadValue
 
@@ -47,8 +47,8 @@ class PendingCommands:
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
         try:
-            nbytes = Encoded(command).nbytes
-        except TypeError as refusal:
+            nbytes = encoded(command).nbytes
+        except RunError as refusal:
             future.set_exception(refusal)
             return future
         if nbytes > MOST_BYTES:
@@ -72,7 +72,7 @@ class PendingCommands:
                 if command.number in self._unanswered:
                     self._unanswered[command.number] = self._unanswered[command.number][0], now_s
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
-        return [Encoded(replace(command, until_s=until_s)).message() for command in taken]
+        return [encoded(replace(command, until_s=until_s)).message() for command in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

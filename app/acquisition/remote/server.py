@@ -25,15 +25,14 @@ from app.acquisition.remote.messages import (
     Command,
     Heartbeat,
     Hello,
-    NewFrame,
-    SharedObjects,
     State,
     portable_error,
     watching,
 )
-from app.acquisition.remote.publisher import FramePublisher
 from app.acquisition.remote.requests import begin_request
-from app.acquisition.remote.serialization import Encoded, unpacked
+from app.acquisition.serialization import encoded, unpacked
+from app.acquisition.streams.messages import NewFrame
+from app.acquisition.streams.publisher import Publisher
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -50,7 +49,7 @@ _STOPPED_S = 0.6  # between two turns, after which this process counts as stoppe
 _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
 
-_FOR_ALL = {"take_control", "switch_light_off", "free_minutes", "stage_times"}
+_FOR_ALL = {"take_control", "switch_light_off", "free_minutes", "stage_times", "detail"}
 _NEVER_TOO_LATE = {"switch_light_off", "shut_down"}  # they make the instrument safe
 
 
@@ -60,7 +59,6 @@ class _Client:
     pause_s: float
     heard_s: float
     is_behind: bool = False  # news were left out for it
-    objects: int = 0  # number of the last one that was sent to it
 
 
 class Server:
@@ -73,12 +71,12 @@ class Server:
         open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
     ) -> None:
         """Open the socket of the address; `RunError` if that fails."""
-        self._wakeup, self._shared_objects = WakeupPipe(), SharedObjects()
-        self._frames = FramePublisher(file_of(address.name, "ring"), self._shared_objects, self._wakeup.notify)
-        self.acquisition = Acquisition(bench, open_devices, sinks=(self._frames.take,), on_show=self._frames.show)
+        self._wakeup = WakeupPipe()
+        self._frames = Publisher(bench, file_of(address.name, "ring"), self._wakeup.notify)
+        self.acquisition = Acquisition(bench, open_devices, publisher=self._frames)
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
-        self._done: deque[tuple[bytes, int, Future[Any]]] = deque()
+        self._done: deque[tuple[bytes, Command, Future[Any]]] = deque()
         self._state: State | None = None
         self._sent_s = self._state_due_s = self._log_due_s = -math.inf
         self._heard_s = math.inf  # when messages were heard last
@@ -108,7 +106,7 @@ class Server:
             poller.register(each, zmq.POLLIN)
         end_clients = partial(self._tell_state, is_over=True)
         with ExitStack() as at_end:  # each step runs, whatever becomes of the others
-            for step in (self._frames.close, self._wakeup.close, self._context.destroy, end_clients, self._turn):
+            for step in (self._wakeup.close, self._context.destroy, end_clients, self._turn):
                 at_end.callback(step)
             at_end.callback(self.acquisition.close)
             at_end.callback(end_clients)  # the light is off or going off: clients need not wait for the rest
@@ -142,7 +140,8 @@ class Server:
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
-        self._frames.write_if_due()
+        if self._frames.error is not None and self._fault is None:
+            raise self._frames.error
         while self._done:
             self._answer(*self._done.popleft())
         if (new_frame := self._frames.newest) != self._announced_frame:
@@ -169,10 +168,9 @@ class Server:
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         if isinstance(message, Hello):
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
-            self._frames.pause_s = min(self._frames.pause_s, message.pause_s)
+            self._ask_for_frames()
             if message.takes_control and not self._controller:
                 self._controller = identity
-            self._frames.write()
             self._tell_news(identity)
         elif isinstance(message, Command) and message.request == "switch_light_off":
             self._execute(identity, message)  # also of a client that was forgotten
@@ -190,9 +188,12 @@ class Server:
 
     def _forget(self, identity: bytes) -> None:
         del self._clients[identity]
-        self._frames.pause_s = min((client.pause_s for client in self._clients.values()), default=math.inf)
+        self._ask_for_frames()
         if self._controller == identity:
             self._controller = b""
+
+    def _ask_for_frames(self) -> None:
+        self._frames.read_every(min((client.pause_s for client in self._clients.values()), default=math.inf))
 
     def _execute(self, identity: bytes, command: Command) -> None:
         """Begin a command; its future is answered when it is done."""
@@ -204,7 +205,7 @@ class Server:
             future.set_exception(error)
 
         def note(answer: Future[Any]) -> None:
-            self._done.append((identity, command.number, answer))
+            self._done.append((identity, command, answer))
             self._wakeup.notify()
 
         future.add_done_callback(note)
@@ -216,6 +217,8 @@ class Server:
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
             raise WrongState(watching("" if holder is None else holder.name))
+        if name == "detail":
+            return self._frames.detail(*command.arguments)
         if name == "take_control":
             self._controller = identity
             return done()
@@ -224,19 +227,19 @@ class Server:
             return done()
         return begin_request(command, self.acquisition)
 
-    def _answer(self, identity: bytes, number: int, future: Future[Any]) -> None:
-        failure = future.exception()
+    def _answer(self, identity: bytes, command: Command, future: Future[Any]) -> None:
+        failure, count = future.exception(), 0
         result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
-        self._frames.write()  # what was measured before the command was done
-        count = self._frames.newest.count
-        self._tell_state()
-        client = self._clients.get(identity)
-        if client is None or client.is_behind:  # it gets no news
-            self._tell(identity, self._present())
+        if command.request != "detail":
+            count = self._frames.count
+            self._tell_state()
+            client = self._clients.get(identity)
+            if client is None or client.is_behind:  # it gets no news
+                self._tell(identity, self._present())
         try:
-            self._tell(identity, Answer(number, result, error, count))
-        except TypeError as unsendable:
-            self._tell(identity, Answer(number, None, portable_error(unsendable), count))
+            self._tell(identity, Answer(command.number, result, error, count))
+        except RunError as unsendable:
+            self._tell(identity, Answer(command.number, None, unsendable, count))
 
     def _present(self, *, is_over: bool = False) -> State:
         acquisition = self.acquisition
@@ -265,12 +268,11 @@ class Server:
             self._tell_all(state)
 
     def _tell_all(self, message: State | NewFrame) -> None:
-        encoded, now_s = Encoded(message, self._shared_objects.number).message(), time.monotonic()
+        told, now_s = encoded(message).message(), time.monotonic()
         for identity, client in self._clients.items():
             client.is_behind |= now_s > client.heard_s + _BEHIND_S
             if not client.is_behind:
-                self._tell_objects(identity)
-                self._socket.send_multipart([identity, encoded])
+                self._socket.send_multipart([identity, told])
 
     def _tell_news(self, identity: bytes) -> None:
         """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
@@ -278,16 +280,4 @@ class Server:
         self._tell(identity, self._present())
 
     def _tell(self, identity: bytes, message: object) -> None:
-        """Send a message; only states and notices refer to objects that travel by themselves."""
-        encoded = Encoded(message, self._shared_objects.number) if isinstance(message, State) else Encoded(message)
-        if isinstance(message, State | NewFrame):
-            self._tell_objects(identity)
-        self._socket.send_multipart([identity, encoded.message()])
-
-    def _tell_objects(self, identity: bytes) -> None:
-        """Send the objects that were numbered since the last time."""
-        client = self._clients.get(identity)
-        for shared in self._shared_objects.after(0 if client is None else client.objects):
-            self._tell(identity, shared)
-            if client is not None:
-                client.objects = shared.number
+        self._socket.send_multipart([identity, encoded(message).message()])

@@ -1,18 +1,25 @@
-"""Messages to other programs: topic, JSON header, and arrays as bytes."""
+"""Messages about frames: one JSON header, and arrays; for the clients of an instrument and for other programs.
+
+The instrument's own clients get all that is cheap to know of a frame, and ask for the rest (`DETAILS`).
+"""
 
 import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from app.acquisition.serialization import Labelled, Message
 from app.bench.config import Bench
+from app.errors import RunError
+from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from reconstruction.geometry import Sensor
+from reconstruction.arrays import Floats
+from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
@@ -20,39 +27,133 @@ FORMAT = 1  # increased when subscribers must change
 
 _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
+_MODES = ("pupil_mode", "field_mode")
+_VECTORS = (*_LENSLET, "field_mode", "xy")
+_SHARED = 8  # objects kept for clients; in use are two or three
 
 
-Labelled = tuple[str, tuple[str, ...], str, NDArray[Any]]  # name, dimensions and units as in NetCDF results, values
+@dataclass(frozen=True, slots=True)
+class NewFrame:
+    """The count of the newest record, in the ring of a name."""
+
+    ring: str
+    count: int
 
 
-def message(topic: str, sequence: int, measurement: Measurement, bench: Bench) -> list[bytes]:
-    """Return the parts of one measurement's message; empty if the method has no such arrays.
+class Modes(NamedTuple):
+    """What the wavefronts of one reconstruction have in common besides their calibration."""
 
-    `sequence` counts all measurements offered for publication. A frame without a wavefront has no arrays, but a
-    `problem`.
+    field: FieldModes
+    pupil: PupilModes | None  # None of a zonal wavefront, as the parameters
+    parameters: Floats | None  # of the lenslets' warps, (K, 2Q)
+
+
+class SharedObjects:
+    """Numbers the large objects that many frames share: a client asks for each once."""
+
+    def __init__(self) -> None:
+        self._objects, self._last, self._modes = dict[int, Any](), 0, list[Modes]()
+
+    def number(self, shared: object) -> int:
+        """Return the number of an object."""
+        known = next((number for number, each in self._objects.items() if each is shared), None)
+        if known is not None:
+            return known
+        self._last += 1
+        self._objects[self._last] = shared
+        self._objects.pop(self._last - _SHARED, None)
+        return self._last
+
+    def modes_number(self, wavefront: Wavefront) -> int:
+        """Return the number of a wavefront's modes."""
+        solution, field = wavefront.solution, wavefront.displacement.modes
+        pupil, parameters = None, None
+        if isinstance(solution, ModalSolution):
+            pupil, parameters = solution.modes, solution.parameters
+        if not self._modes or self._modes[0].field is not field or self._modes[0].pupil is not pupil:
+            self._modes = [Modes(field, pupil, parameters)]
+        return self.number(self._modes[0])
+
+    def get(self, number: int) -> Any:
+        """Return the object of a number; `RunError` if it is too old."""
+        if number not in self._objects:
+            raise RunError(f"object {number} is no longer known")
+        return self._objects[number]
+
+
+class OwnFacts(NamedTuple):
+    """What a client of the instrument needs of a frame besides the arrays."""
+
+    measurement: Measurement  # without what is in arrays and shared objects
+    is_shown_only: bool  # a routine's frame
+    calibration: int | None  # number of the shared object
+    modes: int | None  # number; None without a wavefront
+    freedom: float  # of a modal wavefront
+    has_transmission: bool
+
+
+OF_LENSLETS = ("outcome", "residual_rms", "chi_square", "range_used")
+DETAILS: dict[str, Callable[[Any], Any]] = {
+    "covariance": lambda wavefront: wavefront.displacement.covariance,
+    "transmission": lambda wavefront: wavefront.displacement.transmission,
+    "root_covariance": lambda wavefront: wavefront.solution.root_covariance,
+    "fitted": lambda wavefront: wavefront.solution.fitted(),
+}
+"""What a client asks for if it needs it: to compute or to send it costs milliseconds."""
+
+
+def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_only: bool) -> Message:
+    """Return the message for clients of the instrument: arrays of all topics, and the pixels."""
+    calibration, wavefront, registered = measurement.calibration, measurement.wavefront, measurement.registered
+    modes, labelled = None, list[Labelled]()
+    freedom, has_transmission = math.nan, False
+    if wavefront is not None and registered is not None:
+        solution, modes = wavefront.solution, shared.modes_number(wavefront)
+        has_transmission = registered.transmission_source is not None
+        labelled = [
+            ("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
+            ("displacement", _VECTORS, "px", registered.coefficients),
+            *((name, _LENSLET, "1", getattr(registered, name)) for name in OF_LENSLETS),
+        ]
+        if isinstance(solution, ModalSolution):
+            freedom = solution.freedom
+            labelled.append(("coefficients", _MODES, "rad", solution.coefficients))
+            labelled.append(("known", _LENSLET, "1", solution.known))
+        elif solution.weights is not None:
+            labelled.append(("weights", _LENSLET, "1", solution.weights))
+    facts = OwnFacts(
+        replace(measurement, wavefront=None, registered=None, calibration=None),
+        is_shown_only,
+        None if calibration is None else shared.number(calibration),
+        modes,
+        freedom,
+        has_transmission,
+    )
+    return Message({"format": FORMAT, "value": facts}, labelled)
+
+
+def topic_message(topic: str, sequence: int, measurement: Measurement, bench: Bench, facts: str) -> list[bytes]:
+    """Return the parts of a message for other programs; empty if the method has no such arrays.
+
+    `sequence` counts all measurements offered for publication; `facts` are `calibration_facts`. A frame without a
+    wavefront has no arrays, but a `problem`.
     """
-    wavefront = measurement.wavefront
-    arrays = [] if wavefront is None else TOPICS[topic](wavefront, bench.sensor)
-    if wavefront is not None and not arrays:
+    labelled = [] if measurement.wavefront is None else TOPICS[topic](measurement.wavefront)
+    if measurement.wavefront is not None and not labelled:
         return []
-    parts = [np.ascontiguousarray(values, values.dtype.newbyteorder("<")) for *_, values in arrays]
-    layout = [
-        {"name": name, "dtype": part.dtype.str, "shape": part.shape, "dimensions": dimensions, "units": units}
-        for (name, dimensions, units, _), part in zip(arrays, parts, strict=True)
-    ]
-    header = {
-        "format": FORMAT,
-        "sequence": sequence,
-        **_frame_facts(measurement),
-        "arrays": layout,
-        **_facts(measurement, bench),
-    }
-    return [topic.encode(), json.dumps(header, allow_nan=False).encode(), *(part.tobytes() for part in parts)]
+    header = {"format": FORMAT, "sequence": sequence, **_frame_facts(measurement, bench)}
+    return [topic.encode(), *Message(header, labelled, facts).parts]
 
 
-def _frame_facts(measurement: Measurement) -> dict[str, Any]:
-    frame, refinement = measurement.frame, measurement.assumed.refinement
+def _frame_facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
+    frame, (sample, refinement) = measurement.frame, measurement.assumed
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
+    per_ratio_m, layers = bench.field.collimator_focal_length_m, None
+    if sample is not None:  # else layers have not been searched for
+        layers = [
+            {"distance_m": -ratio * per_ratio_m, "distance_sigma_m": sigma * per_ratio_m}
+            for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
+        ]
     return {
         "frame": frame.index,
         "camera_time_s": frame.camera_time_s,
@@ -67,62 +168,54 @@ def _frame_facts(measurement: Measurement) -> dict[str, Any]:
         "problem": measurement.problem,
         "quality": [fault.name.lower() for fault in measurement.quality.faults if fault.name],
         "quality_reason": measurement.quality.sentence,
+        "layers": layers,
     }
 
 
-def _facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
-    """Header entries on calibration and sample, which give axes, units and wavefronts their meaning."""
-    calibration, sample, layers = measurement.calibration, measurement.assumed.sample, None
-    if calibration is not None:
-        bench = calibration.bench
-    sensor, focal_length_m = bench.sensor, bench.field.collimator_focal_length_m
-    if sample is not None:  # else layers have not been searched for
-        layers = [
-            {"distance_m": -ratio * focal_length_m, "distance_sigma_m": sigma * focal_length_m}
-            for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
-        ]
+def calibration_facts(calibration: Calibration | None, bench: Bench) -> str:
+    """Return header entries as JSON that give axes, units and wavefronts their meaning; made once per calibration."""
+    bench = bench if calibration is None else calibration.bench
+    sensor = bench.sensor
     pupil_x_m = sensor.pupil_x_m if sensor.arrangement == "square" else sensor.lenslet_centers_m[..., 0]
-    return {
+    facts = {
         "sensor": asdict(sensor),
         "lattice": None if calibration is None else asdict(calibration.lattice),
         "field": asdict(bench.field),
         "reconstruction": asdict(bench.reconstruction),
-        "layers": layers,
         "view_x_m": bench.field.view_x_m.tolist(),
         "view_y_m": bench.field.view_y_m.tolist(),
         "pupil_x_m": pupil_x_m.tolist(),
         "pupil_y_m": sensor.pupil_y_m.tolist(),
     }
+    return json.dumps(facts, allow_nan=False)
 
 
-def _coefficients(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
-    if not isinstance(wavefront.solution, ModalSolution):
+def _coefficients(wavefront: Wavefront) -> list[Labelled]:
+    if not isinstance(solution := wavefront.solution, ModalSolution):
         return []
-    modes = ("pupil_mode", "field_mode")
     return [
-        ("coefficients", modes, "rad", wavefront.solution.coefficients),
-        ("coefficients_sigma", modes, "rad", wavefront.solution.coefficients_sigma),
+        ("coefficients", _MODES, "rad", solution.coefficients),
+        ("coefficients_sigma", _MODES, "rad", solution.coefficients_sigma),
     ]
 
 
-def _slopes(wavefront: Wavefront, sensor: Sensor) -> list[Labelled]:
-    displacement, per_px = wavefront.displacement, sensor.slope_per_px
-    vectors = (*_LENSLET, "field_mode", "xy")
+def _slopes(wavefront: Wavefront) -> list[Labelled]:
+    displacement, per_px = wavefront.displacement, wavefront.sensor.slope_per_px
     return [
-        ("slopes", vectors, "rad/m", displacement.coefficients * per_px),
-        ("slopes_sigma", vectors, "rad/m", np.sqrt(displacement.variance) * per_px),
+        ("slopes", _VECTORS, "rad/m", displacement.coefficients * per_px),
+        ("slopes_sigma", _VECTORS, "rad/m", np.sqrt(displacement.variance) * per_px),
         ("valid", _LENSLET, "1", displacement.valid.astype(np.uint8)),
     ]
 
 
-def _views(wavefront: Wavefront, _: Sensor) -> list[Labelled]:
+def _views(wavefront: Wavefront) -> list[Labelled]:
     return [
         ("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
         ("wavefront_sigma", (*_VIEW, *_LENSLET), "rad", wavefront.sigma()),
     ]
 
 
-TOPICS: dict[str, Callable[[Wavefront, Sensor], list[Labelled]]] = {
+TOPICS: dict[str, Callable[[Wavefront], list[Labelled]]] = {
     "coefficients": _coefficients,
     "slopes": _slopes,
     "views": _views,

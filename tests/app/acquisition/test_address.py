@@ -9,7 +9,7 @@ import pytest
 
 from app.acquisition.address import Address, clear_abandoned, file_of, runtime_folder, taken_address
 from app.acquisition.remote.connection import reach
-from app.acquisition.remote.ring import RingWriter
+from app.acquisition.streams.ring import RingWriter
 from app.errors import InputError, RunError
 
 pytestmark = pytest.mark.usefixtures("runtime_folder")

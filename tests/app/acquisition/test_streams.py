@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,8 @@ from support.optics import FIELD, SmallBench
 from support.paths import DOCS
 from support.patience import HANG_S, wait_until
 
-from app.acquisition.streams.guard import CONNECTIONS, TOPIC_BYTES
 from app.acquisition.streams.messages import TOPICS
-from app.acquisition.streams.publisher import Publisher, stream_sinks
+from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench, StreamSettings
 from app.errors import RunError
 from app.measurement.averages import Average
@@ -121,8 +120,15 @@ class Subscriber:
 @pytest.fixture
 def publisher(stream_bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[Publisher]:
     """A publisher whose connections may say nothing for longer than any test."""
-    monkeypatch.setattr("app.acquisition.streams.guard._HANDSHAKE_MS", int(2000 * HANG_S))
-    with closing(Publisher(replace(stream_bench, streams=StreamSettings(port=port)))) as publisher:
+    monkeypatch.setattr("app.acquisition.streams.publisher._HANDSHAKE_MS", int(2000 * HANG_S))
+    with running(stream_bench, port) as publisher:
+        yield publisher
+
+
+@contextmanager
+def running(bench: Bench, port: int | None, address: str = "127.0.0.1") -> Iterator[Publisher]:
+    publisher = Publisher(replace(bench, streams=StreamSettings(port=port, address=address)))
+    with publisher.running():
         yield publisher
 
 
@@ -242,11 +248,10 @@ def lingers(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.usefixtures("lingers")
 def test_close_sends_waiting_messages(stream_bench: Bench, port: int, measurement: Measurement) -> None:
-    publisher = Publisher(replace(stream_bench, streams=StreamSettings(port=port)))
     with closing(Subscriber(port, "slopes")) as subscriber:
-        before = until_heard(publisher, subscriber, measurement)
-        publisher.take(measurement)
-        publisher.close()
+        with running(stream_bench, port) as publisher:
+            before = until_heard(publisher, subscriber, measurement)
+            publisher.take(measurement)
         assert subscriber.hears()[1]["sequence"] == before + 1
     with socket.socket() as free:  # the port is free again
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -321,11 +326,10 @@ def _can_be_read(descriptor: int) -> bool:
 
 def test_without_port_no_socket_is_opened(stream_bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
-    with stream_sinks(stream_bench) as sinks:
-        assert sinks == ()
+    with running(stream_bench, None):
+        pass
     monkeypatch.undo()
-    with stream_sinks(replace(stream_bench, streams=StreamSettings(port=port))) as sinks:
-        assert len(sinks) == 1
+    with running(stream_bench, port):
         listening = _listening(port)
     assert listening == ["127.0.0.1"]
 
@@ -338,36 +342,17 @@ def _listening(port: int) -> list[str]:
 
 
 def test_taken_port_is_one_sentence(stream_bench: Bench, port: int) -> None:
-    streams = StreamSettings(port=port)
     with (
-        stream_sinks(replace(stream_bench, streams=streams)),
+        running(stream_bench, port),
         pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address already in use; change streams.port"),
-        stream_sinks(replace(stream_bench, streams=streams)),
+        running(stream_bench, port),
     ):
         pass
 
 
 def test_foreign_address_is_one_sentence(stream_bench: Bench, port: int) -> None:
-    elsewhere = replace(stream_bench, streams=StreamSettings(port=port, address="192.0.2.1"))
-    with pytest.raises(RunError, match="assign"), stream_sinks(elsewhere):
+    with pytest.raises(RunError, match="assign"), running(stream_bench, port, "192.0.2.1"):
         pass
-
-
-def descriptors() -> int:
-    """Number of open files and sockets of this process."""
-    return sum(1 for _ in Path("/proc/self/fd").iterdir())
-
-
-def test_connections_are_limited(publisher: Publisher, port: int, measurement: Measurement) -> None:
-    before, ours = descriptors(), list[socket.socket]()
-    for _ in range(400):
-        ours.append(socket.create_connection(("127.0.0.1", port)))
-        wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS + 10)  # some are about to be closed
-    wait_until(lambda: descriptors() - before - len(ours) <= CONNECTIONS)
-    for connection in ours:
-        connection.close()
-    with closing(Subscriber(port, "views")) as subscriber:  # there is room again
-        until_heard(publisher, subscriber, measurement)
 
 
 def test_long_topic_closes_its_connection(publisher: Publisher, port: int, measurement: Measurement) -> None:
@@ -377,24 +362,11 @@ def test_long_topic_closes_its_connection(publisher: Publisher, port: int, measu
         assert other.is_waiting()
 
 
-def test_flood_of_subscriptions_closes_its_connection(
-    publisher: Publisher, port: int, measurement: Measurement
-) -> None:
-    with closing(Subscriber(port, "views")) as subscriber:
-        until_heard(publisher, subscriber, measurement)
-        with closing(Subscriber(port)) as flooding:
-            for number in range(20_000):
-                flooding._socket.subscribe(str(number).ljust(TOPIC_BYTES, "x"))
-            wait_until(lambda: publisher._guard._addresses["127.0.0.1"].open_from_s > 0)  # the flood was noticed
-            wait_until(lambda: publisher._subscriptions == {b"views"})  # and its connection closed
-            until_heard(publisher, subscriber, measurement)  # the other one stays connected
-
-
 @pytest.mark.parametrize(("address", "is_warned"), [("127.0.0.1", False), ("127.8.9.1", False), ("0.0.0.0", True)])  # noqa: S104 - it is warned of
 def test_open_address_is_warned_of(
     stream_bench: Bench, port: int, capsys: pytest.CaptureFixture[str], address: str, is_warned: bool
 ) -> None:
-    with stream_sinks(replace(stream_bench, streams=StreamSettings(port=port, address=address))):
+    with running(stream_bench, port, address):
         pass
     errors = capsys.readouterr().err
     assert errors.startswith("warning: every computer that reaches 0.0.0.0 can read the results") == is_warned

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
 PITCH_M = 2.0
@@ -92,7 +93,7 @@ def test_weighted_least_squares_and_sigma_match_dense_solution() -> None:
         pitch_m=PITCH_M,
         arrangement="square",
         weights=weights,
-        slope_covariance=covariance,
+        slope_covariance=Deferred(lambda: covariance),
     )
 
     at_view = np.einsum("q,rcqa->rca", view, slopes).reshape(-1, 2)

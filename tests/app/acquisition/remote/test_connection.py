@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,10 @@ from app.acquisition.remote.connection import reach
 from app.acquisition.remote.messages import Command
 from app.acquisition.remote.server import Server
 from app.errors import InputError, RunError
-from app.measurement.measurement import Assumptions, Measurement, RefinementState
+from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
 from drivers.interface import BadValue, Disconnected, WrongState
-from reconstruction.layers.layered_wavefront import FREE
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -107,7 +105,7 @@ def test_one_client_has_control_and_the_others_watch(fake_camera: FakeCamera) ->
             second.take_dark(3).result(HANG_S)
         assert newest(second).wavefront is not None
         second.switch_light_off().result(HANG_S)  # anyone may
-        assert isinstance(second.commands.add("set", {1, 2}).exception(HANG_S), TypeError)
+        assert isinstance(second.commands.add("set", {1, 2}).exception(HANG_S), RunError)
         assert not second.take_dark(3).cancel()  # it is on its way
         assert not fake_camera.light.shines
         second.take_control().result(HANG_S)
@@ -180,23 +178,6 @@ def test_a_last_command_is_sent_before_leaving(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("server")
-def test_a_bias_that_the_instrument_subtracted_is_subtracted_here() -> None:
-    with connected() as connection:
-        made = newest(connection)
-        assert made.registered is not None
-        assert made.calibration is not None
-        bias = np.full(made.registered.coefficients.shape, 0.1)
-        bias[0] = 0.3
-        applied = replace(made, assumed=Assumptions(FREE, RefinementState("applied", bias=bias)), wavefront=None)
-        found = connection._frames._solved(applied)
-        reconstructor = made.calibration.reconstructor()
-        assert found.wavefront is not None
-        assert made.wavefront is not None
-        np.testing.assert_array_equal(found.wavefront.views, reconstructor.solve(made.registered, bias=bias).views)
-        assert np.nanmax(np.abs(found.wavefront.views - made.wavefront.views)) > 0.01
-
-
-@pytest.mark.usefixtures("server")
 def test_a_late_client_gets_everything() -> None:
     with connected() as first:
         newest(first)
@@ -217,7 +198,7 @@ def test_frames_of_routines_are_shown_but_not_measured(fake_camera: FakeCamera) 
         future = connection.take_reference(20)
         shown = newest(connection, lambda made: "taking the reference" in made.problem)
         assert shown.wavefront is None
-        assert "taking the reference" in connection.activity.text
+        wait_until(lambda: "taking the reference" in connection.activity.text)
         connection.cancel()
         assert future.exception(HANG_S) is not None
         assert not any("taking" in made.problem for made in taken)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from concurrent.futures import Future
 from contextlib import closing
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,34 +15,35 @@ from support.gui_bench import make_frame
 from support.patience import wait_until
 
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import NewFrame, RingRecord
-from app.acquisition.remote.ring import RingWriter
-from app.acquisition.remote.serialization import Encoded
+from app.acquisition.streams.messages import NewFrame, SharedObjects, own_message
+from app.acquisition.streams.ring import RingWriter
 from app.measurement.measurement import Measurement
 
 
-def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
-    passed: list[int] = []
-    frames = RemoteFrames(lambda _: None, (lambda made: passed.append(made.frame.index),), 0.0)
-    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
-        for index in range(3):
-            if index == 1:
-                frames.outdate(2)
-            frame = make_frame(np.zeros((3, 4), np.uint16), index=index)
-            frames.announce(
-                NewFrame(ring.name, ring.write(Encoded(RingRecord(Measurement(frame, None, "x"), is_shown_only=False))))
-            )
-            wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index)  # noqa: B023 - at once
-        frames.close()
-        frames.join()
-    assert passed == [0, 2]
+def nothing(name: str, number: int) -> Future[Any]:
+    """Stand for an instrument that is never asked."""
+    raise AssertionError(name, number)
 
 
 def publish(ring: RingWriter, frames: RemoteFrames, count: int, *, is_shown_only: bool = False) -> None:
     """Let an instrument write a record whose frame has the index `count`, and tell of it."""
     made = Measurement(make_frame(np.zeros((3, 4), np.uint16), index=count), None, "x")
-    ring.write(Encoded(RingRecord(made, is_shown_only)), count)
+    ring.write(own_message(made, SharedObjects(), is_shown_only=is_shown_only), count)
     frames.announce(NewFrame(ring.name, count))
+
+
+def test_frames_measured_before_a_command_are_shown_but_no_longer_passed_on(tmp_path: Path) -> None:
+    passed: list[int] = []
+    frames = RemoteFrames(nothing, (lambda made: passed.append(made.frame.index),), 0.0)
+    with closing(RingWriter(10_000, tmp_path / "ring")) as ring:
+        for index in range(3):
+            if index == 1:
+                frames.outdate(2)
+            publish(ring, frames, index + 1)
+            wait_until(lambda: frames.newest is not None and frames.newest.frame.index == index + 1)  # noqa: B023 - at once
+        frames.close()
+        frames.join()
+    assert passed == [1, 3]
 
 
 def indices(measurements: Iterator[Measurement], count: int) -> list[int]:
@@ -49,7 +52,7 @@ def indices(measurements: Iterator[Measurement], count: int) -> list[int]:
 
 @pytest.fixture
 def frames() -> Iterator[RemoteFrames]:
-    made = RemoteFrames(lambda _: None, (), 0.0)
+    made = RemoteFrames(nothing, (), 0.0)
     yield made
     made.close()
     made.join()

@@ -10,14 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zmq
-from support.gui_bench import BENCH, FakeCamera, make_frame
+from support.gui_bench import FakeCamera, make_frame
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.address import file_of
-from app.acquisition.remote.messages import Answer, Command, Heartbeat, Hello, NewFrame, SharedObject
-from app.acquisition.remote.serialization import Encoded, unpacked
+from app.acquisition.remote.messages import Answer, Command, Heartbeat, Hello
 from app.acquisition.remote.server import Server
+from app.acquisition.serialization import encoded, unpacked
+from app.acquisition.streams.messages import NewFrame
 from app.measurement.measurement import Measurement
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
@@ -31,14 +32,14 @@ def test_strangers_are_not_heard(server: Server) -> None:
     with connected(takes_control=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
-            [b"wrong key", Encoded(Hello("stranger", True, 0.0)).message()],
+            [b"wrong key", encoded(Hello("stranger", True, 0.0)).message()],
             [server.address.key.encode(), b"no message"],
             [server.address.key.encode(), text_message('{"of":[]}')],
             [server.address.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
             [server.address.key.encode()],
             [b""],
-            [server.address.key.encode(), Encoded(Command(1, "shut_down")).message()],  # without a hello
-            [server.address.key.encode(), Encoded(Heartbeat.ALIVE).message(), b"more"],
+            [server.address.key.encode(), encoded(Command(1, "shut_down")).message()],  # without a hello
+            [server.address.key.encode(), encoded(Heartbeat.ALIVE).message(), b"more"],
         ]
         with context.socket(zmq.DEALER) as socket:
             socket.connect(server.address.endpoint)
@@ -63,7 +64,7 @@ def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
 
 
 def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
-    socket.send_multipart([server.address.key.encode(), Encoded(message).message()])
+    socket.send_multipart([server.address.key.encode(), encoded(message).message()])
 
 
 def send_notices(server: Server, count: int) -> None:
@@ -81,7 +82,7 @@ def read_all(socket: zmq.Socket[bytes]) -> Iterator[object]:
     until_s = time.monotonic() + HANG_S
     while socket.poll(500):
         assert time.monotonic() < until_s, "news does not end"
-        yield unpacked(socket.recv(), lambda _: BENCH)
+        yield unpacked(socket.recv())
 
 
 def test_an_answer_reaches_a_client_that_did_not_read_for_long(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,16 +112,6 @@ def test_a_client_that_does_not_read_gets_no_news_until_it_does(
     assert told[0] > 20
 
 
-def test_objects_are_sent_once_to_each_client(server: Server) -> None:
-    with connected() as connection:
-        newest(connection)  # a calibration and two benches have numbers
-        with silent_client(server) as socket:
-            send_notices(server, 3)
-            told = [each.number for each in read_all(socket) if isinstance(each, SharedObject)]
-    assert len(told) >= 3
-    assert told == sorted(set(told))
-
-
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
 @pytest.mark.parametrize("where", ["publish", "_answer"])
 def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
@@ -134,7 +125,7 @@ def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
     with served(fake_camera, faults=faults) as server, connected() as connection:
         newest(connection)
         if where == "publish":
-            monkeypatch.setattr(server._frames, "write", fail)
+            monkeypatch.setattr(server._frames, "_write", fail)
         else:
             monkeypatch.setattr(server, "_answer", fail)
             connection.take_control()

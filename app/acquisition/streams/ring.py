@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from app.acquisition.remote.serialization import Encoded
+from app.acquisition.serialization import Message
 
 _MAGIC = b"svwfsR1\0"
 _FACTS = struct.Struct("<8sQQ8s")  # magic, slots, bytes of a slot, serial
@@ -54,19 +54,19 @@ class RingWriter:
         """Count of the newest record."""
         return int(self._count)
 
-    def has_room_for(self, encoded: Encoded) -> bool:
+    def has_room_for(self, message: Message) -> bool:
         """True if a record fits into a slot."""
-        return encoded.nbytes <= self._stride - _SLOT_HEADER_BYTES
+        return message.nbytes <= self._stride - _SLOT_HEADER_BYTES
 
-    def write(self, encoded: Encoded, count: int | None = None) -> int:
+    def write(self, message: Message, count: int | None = None) -> int:
         """Write a record over the oldest one; return its count, by default the next one."""
         count = self.count + 1 if count is None else count
         start = _HEADER_BYTES + self._written % self._slots * self._stride
         self._written += 1
         state = np.ndarray((2,), np.uint64, self._view, start)
         state[0] = 2 * count - 1
-        encoded.write(self._view[start + _SLOT_HEADER_BYTES : start + self._stride])
-        state[1] = encoded.nbytes
+        message.write(self._view[start + _SLOT_HEADER_BYTES : start + self._stride])
+        state[1] = message.nbytes
         state[0] = 2 * count
         self._count[...] = count
         return count

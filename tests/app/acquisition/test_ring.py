@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from app.acquisition.remote.ring import RingReader, RingWriter
-from app.acquisition.remote.serialization import Encoded, unpacked
+from app.acquisition.serialization import Message, encoded, unpacked
+from app.acquisition.streams.ring import RingReader, RingWriter
 
 
 @pytest.fixture(params=["memory", "file"])
@@ -25,8 +25,8 @@ def ring(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mon
         yield writer
 
 
-def record(number: int) -> Encoded:
-    return Encoded((number, np.full(2000, number, np.int64)))
+def record(number: int) -> Message:
+    return encoded((number, np.full(2000, number, np.int64)))
 
 
 def test_records_arrive_until_they_are_overwritten(ring: RingWriter) -> None:
@@ -58,14 +58,14 @@ def test_a_record_being_written_is_not_returned(ring: RingWriter) -> None:
         for number in (1, 2, 3, 4):
             ring.write(record(number))
 
-        class Slow(Encoded):
+        class Slow(Message):
             def write(self, buffer: memoryview) -> None:
                 seen.append(reader.read(1))  # the slot that is being replaced
                 seen.append(reader.read(5))
                 super().write(buffer)
                 seen.append(reader.read(5))
 
-        ring.write(Slow((5, np.zeros(3))))
+        ring.write(Slow({"value": (5, np.zeros(3))}))
         assert seen == [None, None, None]
         assert reader.read(5) is not None
 
@@ -91,7 +91,7 @@ def test_records_overwritten_while_they_are_copied_are_refused(
         memory = reader._memory
         unpack_from = __import__("struct").unpack_from
         monkeypatch.setattr(
-            "app.acquisition.remote.ring.struct.unpack_from", lambda form, _, start: unpack_from(form, memory, start)
+            "app.acquisition.streams.ring.struct.unpack_from", lambda form, _, start: unpack_from(form, memory, start)
         )
         monkeypatch.setattr(reader, "_memory", Overtaken(memory))
         assert reader.read(1) is None
