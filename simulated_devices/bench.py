@@ -57,13 +57,17 @@ class ReceivedLight:
     state: int | None  # of the sample at the end; None if it was out of the beam
 
     @property
+    def light(self) -> tuple[NDArray[np.float32], np.float32]:
+        """Image (row, column) and dose, whose product are the mean photons on each pixel."""
+        if len(self.parts) == 1:
+            return self.parts[0]
+        return np.sum([image * dose for image, dose in self.parts], axis=0), np.float32(1)
+
+    @property
     def photons(self) -> NDArray[np.float32]:
         """Mean number on each pixel, (row, column)."""
-        (image, dose), *others = self.parts
-        photons = image * dose
-        for image, dose in others:
-            photons += image * dose
-        return photons
+        image, dose = self.light
+        return image * dose
 
     def is_same_light(self, other: ReceivedLight) -> bool:
         """True if the other exposure received exactly the same light."""
@@ -134,7 +138,8 @@ class SimulatedBench:
         for begin_s, finish_s, condition in self._pieces(start_s, end_s):
             image, state = self._image(condition, (begin_s + finish_s) / 2)
             current_a = condition.current_a if condition.is_light_on else 0.0
-            parts.append((image, np.float32(PHOTONS_PER_S_M2_A * current_a * max(finish_s - begin_s, 0.0))))
+            lasting_s = round(max(finish_s - begin_s, 0.0), 9)  # the same for equal exposures
+            parts.append((image, np.float32(PHOTONS_PER_S_M2_A * current_a * lasting_s)))
         return ReceivedLight(parts=tuple(parts), state=state)
 
     def close(self) -> None:
@@ -145,6 +150,9 @@ class SimulatedBench:
 
     def _pieces(self, start_s: float, end_s: float) -> list[tuple[float, float, Condition]]:
         """Return the parts of the interval during which nothing changed, in order; at least one."""
+        since_s, condition = self._history[-1]
+        if since_s <= start_s:
+            return [(start_s, end_s, condition)]
         history = self.history
         begins = [begin for begin, _ in history]
         ends = [*begins[1:], float("inf")]

@@ -6,14 +6,13 @@ import math
 from collections import OrderedDict
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.interface import NO_FRAME, Camera, CameraCapabilities, DeviceTimeout, Frame, Range, Region
 from simulated_devices.detector import Detector, FrameConditions
-from simulated_devices.settings import exposure_range_s
 
 if TYPE_CHECKING:
     from simulated_devices.bench import ReceivedLight, SimulatedBench
@@ -24,6 +23,7 @@ _EXPOSURE_STEPS_PER_S = 100_000
 _SLICE_S = 0.05
 _REGION_STEP_PX = 16
 _STATES_REMEMBERED = 1000
+_NOISY_BYTES = 1 << 27  # of frames that are repeated
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,24 +41,27 @@ class _Run:
         return self.first_index + max(0, math.floor((time_s - self.start_s) / self.exposure_s + 1e-6))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shot:
+class _Shot(NamedTuple):
     """Everything on which the pixels of a frame depend."""
 
     received: ReceivedLight
     exposure: FrameConditions
     part: Region
 
-    def photons(self) -> NDArray[np.float32]:
-        """Mean photons on each pixel of the part, (row, column)."""
-        part = self.part
+    def light(self) -> tuple[NDArray[np.float32], np.float32]:
+        """Image (row, column) of the part, and its dose: their product are mean photons."""
+        part, (image, dose) = self.part, self.received.light
         rows, columns = slice(part.top, part.top + part.rows), slice(part.left, part.left + part.columns)
-        return np.ascontiguousarray(self.received.photons[rows, columns])
+        return np.ascontiguousarray(image[rows, columns]), dose
 
     def is_same(self, other: _Shot) -> bool:
         """True if both give the same pixels."""
         is_same_setting = (self.exposure, self.part) == (other.exposure, other.part)
         return is_same_setting and self.received.is_same_light(other.received)
+
+    def key(self) -> object:
+        """Key that another shot has only if it `is_same`, as long as this one lives."""
+        return tuple((id(image), float(dose)) for image, dose in self.received.parts), self.exposure, self.part
 
 
 class SimulatedCamera(Camera):
@@ -84,6 +87,7 @@ class SimulatedCamera(Camera):
         self._states: OrderedDict[int, int | None] = OrderedDict()
         # While a frame is used, the next one is computed as if nothing changed: a real camera takes no time of ours.
         self._expected: tuple[_Shot, Future[NDArray[np.uint16]]] | None = None
+        self._noisy: OrderedDict[object, tuple[_Shot, NDArray[np.uint16]]] = OrderedDict()  # repeated frames
 
     def state_of_frame(self, index: int) -> int | None:
         """State of the sample in one of the last 1000 frames since the start; None without the sample."""
@@ -96,7 +100,7 @@ class SimulatedCamera(Camera):
             columns=self._part.columns,
             pixel_pitch_m=self._bench.sensor.pixel_pitch_m,
             full_scale=2**settings.bits - 1,
-            exposure_range_s=exposure_range_s(self._chosen_amplifier, self._em_readout_speed),
+            exposure_range_s=settings.exposure_range_s(self._chosen_amplifier, self._em_readout_speed),
             em_gain_range=Range(1.0, settings.maximum_em_gain if has_multiplier else 1.0),
             amplifiers=("normal", "em"),
             readout_speeds=(1, 2, 3) if has_multiplier else (1,),
@@ -202,13 +206,9 @@ class SimulatedCamera(Camera):
         run = self._run_of(index)
         return run.start_s + (index + 1 - run.first_index) * run.exposure_s
 
-    def _frame(self, index: int) -> Frame:
+    def _shot(self, index: int) -> _Shot:
+        """What the present settings and light give frame number `index`."""
         run, end_s = self._run_of(index), self._end_s(index)
-        self._runs = [past for past in self._runs if past.first_index >= run.first_index]
-        received = self._bench.expose(end_s - run.exposure_s, end_s)
-        self._states[index] = received.state
-        while len(self._states) > _STATES_REMEMBERED:
-            self._states.popitem(last=False)
         exposure = FrameConditions(
             index=(self._starts << 40) + index,  # each start has its own noise
             exposure_s=run.exposure_s,
@@ -216,23 +216,46 @@ class SimulatedCamera(Camera):
             readout_speed=self._read_readout_speed(),
             em_gain=run.em_gain,
         )
-        shot = _Shot(received, exposure, self._part)
-        expected, self._expected = self._expected, None
-        if expected is not None and expected[0].is_same(shot):
-            pixels = expected[1].result()
-        else:
-            pixels = self._detector.counts(shot.photons(), exposure)
-        following = replace(shot, exposure=replace(exposure, index=exposure.index + 1))
-        self._expected = following, self._detector.begin(following.photons, following.exposure)
+        return _Shot(self._bench.expose(end_s - run.exposure_s, end_s), exposure, self._part)
+
+    def _frame(self, index: int) -> Frame:
+        run, shot = self._run_of(index), self._shot(index)
+        self._runs = [past for past in self._runs if past.first_index >= run.first_index]
+        self._states[index] = shot.received.state
+        while len(self._states) > _STATES_REMEMBERED:
+            self._states.popitem(last=False)
+        pixels = self._pixels(shot, index)
         pixels.setflags(write=False)
         return Frame(
             pixels=pixels,
             index=index,
-            camera_time_s=end_s,
+            camera_time_s=self._end_s(index),
             host_time_s=self._bench.clock.now(),
             exposure_s=run.exposure_s,
             em_gain=run.em_gain,
         )
+
+    def _pixels(self, shot: _Shot, index: int) -> NDArray[np.uint16]:
+        """Counts of a frame, and begin to compute the next one's."""
+        if noises := self._settings.noise_frames:
+            return self._repeated(shot._replace(exposure=replace(shot.exposure, index=index % noises)))
+        expected, self._expected = self._expected, None
+        pixels = expected[1].result() if expected and expected[0].is_same(shot) else self._computed(shot)
+        following = self._shot(index + 1)
+        self._expected = following, self._detector.begin(following.light, following.exposure)
+        return pixels
+
+    def _computed(self, shot: _Shot) -> NDArray[np.uint16]:
+        image, dose = shot.light()
+        return self._detector.counts(image, shot.exposure, dose=dose)
+
+    def _repeated(self, shot: _Shot) -> NDArray[np.uint16]:
+        """Copy of the frame that is the same, which is computed the first time."""
+        if (found := self._noisy.get(shot.key())) is None:
+            found = self._noisy[shot.key()] = shot, self._computed(shot)
+            while len(self._noisy) * found[1].nbytes > _NOISY_BYTES:
+                self._noisy.popitem(last=False)
+        return found[1].copy()
 
 
 def _rounded(exposure_s: float) -> float:

@@ -5,6 +5,7 @@ register, when its gain is above 1 -> nonlinearity -> read noise -> offset -> co
 The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on threads or on the frames
 before it. Large numbers of electrons follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate
 with the right mean, variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
+Where nothing between shot noise and read noise is nonlinear, one deviate stands for both: their cumulants add up.
 """
 
 import math
@@ -30,19 +31,19 @@ _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
 _MIX_2 = np.uint64(0x94D049BB133111EB)
 _30, _27, _31, _32 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(32)
 _LOW = np.uint64(0xFFFFFFFF)
-_ONE = np.uint64(1)
 
 _CELLS = 4096  # of the table of normal quantiles
 _TAIL = 16
 """Cells at either end of the table in which the quantile is not linear enough."""
-_IN_CELL, _CELL_MASK = np.uint64(20), np.uint64(0xFFFFF)  # bits that place a 32-bit number in its cell
-_FIRST, _LAST = np.uint64(_TAIL), np.uint64(_CELLS - _TAIL)
 _QUANTILE = special.ndtri(np.concatenate([[0.5 / _CELLS], np.arange(1, _CELLS) / _CELLS, [1 - 0.5 / _CELLS]])).astype(
     np.float32
 )
 
 _INVERSION_LIMIT = 6.0  # mean electrons up to which Poisson is drawn exactly; beyond, it is right to 0.1 %
 _COMPOUND_LIMIT = 50.0  # mean electrons from which shot noise and register are one expansion, right to 0.1 %
+_MOST_SKEWNESS, _MOST_EXCESS = np.float32(0.3 / 6), np.float32(0.15 / 24)
+"""Of all noise, with the factors of the expansion, up to which it is one expansion, right to 0.1 %."""
+_NUMBERS = tuple(np.float32(number) for number in (0, 1, 2, 3, 5))
 _FEW = 4.0  # electrons up to which the register's gamma deviate is a product of uniform ones
 _RECIPROCAL = 1.0 / np.maximum(np.arange(101.0), 1.0)  # a division is the slow part of the inversion
 
@@ -87,24 +88,37 @@ def _tail_normal(probability: float) -> float:
 
 
 @compiled
-def _fill_normal(bits: NDArray[np.uint64], deviates: NDArray[np.float64], in_tail: NDArray[np.uint8]) -> None:
-    """Fill `deviates` (N,) with `normal` of each of the `bits` (N,).
+def _hash(state: np.uint32) -> np.uint32:
+    """32 well mixed bits from any 32 bits (Wellons 2018), several at a time."""
+    x = np.uint32(state ^ (state >> np.uint32(16)))
+    x = np.uint32(x * np.uint32(0x7FEB352D))
+    x = np.uint32(x ^ (x >> np.uint32(15)))
+    x = np.uint32(x * np.uint32(0x846CA68B))
+    return np.uint32(x ^ (x >> np.uint32(16)))
 
-    The first loop has no branch, so that it runs on several numbers at a time. `in_tail` is scratch for a multiple of 8
-    numbers, at least N.
+
+@compiled
+def _fill_normal(
+    first: int, key: np.uint64, deviates: Image, bits: NDArray[np.uint32], in_tail: NDArray[np.int64]
+) -> None:
+    """Fill `deviates` (N,) of the pixels from the `first` on; `bits` (N,) and `in_tail` (N + 1,) are scratch.
+
+    No loop but the last has a branch, so that they run on several numbers at a time.
     """
+    low_key, high_key = np.uint32(key & _LOW), np.uint32(key >> _32)
     for index in range(len(bits)):
-        cell = (bits[index] & _LOW) >> _IN_CELL
+        bits[index] = _hash(np.uint32(_hash(np.uint32(np.uint32(first + index) ^ low_key)) + high_key))
+    for index in range(len(bits)):
+        cell = bits[index] >> np.uint32(20)
         low = _QUANTILE[cell]
-        fraction = (float(bits[index] & _CELL_MASK) + 0.5) * 2.0**-20
-        deviates[index] = low + fraction * (_QUANTILE[cell + _ONE] - low)
-        in_tail[index] = (cell < _FIRST) | (cell >= _LAST)
-    words = in_tail.view(np.uint64)
-    for word in range(len(words)):
-        if words[word]:
-            for index in range(8 * word, min(8 * word + 8, len(bits))):
-                if in_tail[index]:
-                    deviates[index] = _tail_normal(uniform(bits[index]))
+        fraction = (np.float32(bits[index] & np.uint32(0xFFFFF)) + np.float32(0.5)) * np.float32(2.0**-20)
+        deviates[index] = low + fraction * (_QUANTILE[cell + np.uint32(1)] - low)
+    tails = np.int64(0)
+    for index in range(len(bits)):
+        in_tail[tails] = index
+        tails += np.uint32((bits[index] >> np.uint32(20)) - np.uint32(_TAIL)) >= np.uint32(_CELLS - 2 * _TAIL)
+    for tail in range(tails):
+        deviates[in_tail[tail]] = _tail_normal((float(bits[in_tail[tail]]) + 0.5) * 2.0**-32)
 
 
 @compiled
@@ -147,24 +161,6 @@ def multiplied(electrons: float, em_gain: float, key: np.uint64) -> float:
     return electrons * (em_gain - scale) + scale * gamma
 
 
-@compiled
-def _fill_many_multiplied(
-    means: Image, em_gain: float, deviates: NDArray[np.float64], electrons: NDArray[np.float64]
-) -> None:
-    """Fill `electrons` after the register, from many `means` before it and normal deviates.
-
-    All are (column,). Shot noise and register are one expansion, from the first three cumulants of a compound Poisson
-    process.
-    """
-    t = math.sqrt(em_gain * (em_gain - 1))
-    s = em_gain - t
-    variance = s * s + 2 * s * t + 2 * t * t  # of one electron
-    third = s * s * s + 3 * s * s * t + 6 * s * t * t + 6 * t * t * t
-    for column in range(len(means)):
-        mean, z = means[column], deviates[column]
-        electrons[column] = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
-
-
 class Chip(NamedTuple):
     """The sensor chip in one frame; `expose_rows` takes its numbers in single precision."""
 
@@ -181,35 +177,73 @@ class Chip(NamedTuple):
 
 
 @compiled
-def expose_rows(photons: Image, key: np.uint64, chip: Chip, rows: tuple[int, int], counts: NDArray[np.uint16]) -> None:
-    """Fill rows from the first to before the second of `counts` from mean `photons`, both (row, column)."""
-    em_gain, full_well = chip.em_gain, chip.full_well_e
-    columns = photons.shape[1]
-    bits, means = np.empty(columns, np.uint64), np.empty(columns, np.float32)
-    deviates, electrons = np.empty(columns), np.empty(columns)
-    in_tail = np.zeros(-(-columns // 8) * 8, np.uint8)
+def _moments(em_gain: float) -> tuple[float, float, float]:
+    """Second to fourth moment of the electrons that one becomes in the register; all 1 without gain."""
+    t = math.sqrt(em_gain * (em_gain - 1))
+    s = em_gain - t
+    second = s * s + 2 * s * t + 2 * t * t
+    third = s * s * s + 3 * s * s * t + 6 * s * t * t + 6 * t * t * t
+    return second, third, s**4 + 4 * s**3 * t + 12 * s * s * t * t + 24 * s * t**3 + 24 * t**4
+
+
+@compiled
+def _expose_pixel(mean: float, bits: np.uint64, chip: Chip) -> np.uint16:
+    """Counts of a pixel from its mean electrons, step by step."""
+    em_gain, z = float(chip.em_gain), normal(bits)
+    if em_gain > 1 and _COMPOUND_LIMIT < mean < chip.full_well_e / 2:  # shot noise and register are one expansion
+        variance, third, _ = _moments(em_gain)
+        electrons = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
+    else:
+        electrons = min(poisson(mean, z, bits), float(chip.full_well_e))
+        if em_gain > 1 and electrons > 0:
+            electrons = multiplied(electrons, em_gain, splitmix64(bits))
+    signal = min(electrons, float(chip.register_full_well_e if em_gain > 1 else chip.full_well_e))
+    signal -= chip.loss_per_e * signal * signal
+    value = (signal + chip.read_noise_e * normal(bits >> _32)) * chip.counts_per_e + chip.offset_counts
+    return np.uint16(min(max(value + 0.5, 0.0), float(chip.full_scale)))
+
+
+@compiled
+def expose_rows(
+    image: Image, dose: np.float32, key: np.uint64, chip: Chip, rows: tuple[int, int], counts: NDArray[np.uint16]
+) -> None:
+    """Fill rows from the first to before the second of `counts`, (row, column), from mean photons, `image` x `dose`.
+
+    The loop over a row is in single precision, for as many pixels at a time as possible.
+    """
+    columns, zero, one, two, three, five = image.shape[1], *_NUMBERS
+    variance, third, fourth = _moments(chip.em_gain)
+    second_e, third_e, fourth_e = np.float32(variance), np.float32(third / 6), np.float32(fourth / 24)
+    read_variance, half = chip.read_noise_e * chip.read_noise_e, np.float32(0.5)
+    most_skew, most_excess = _MOST_SKEWNESS, _MOST_EXCESS
+    highest = min(chip.full_well_e, chip.register_full_well_e / chip.em_gain) * half
+    if chip.loss_per_e != 0 or chip.read_noise_e < 1:
+        highest = zero  # step by step
+    means, deviates = np.empty(columns, np.float32), np.empty(columns, np.float32)
+    bits, in_tail = np.empty(columns, np.uint32), np.empty(columns + 1, np.int64)
     for row in range(rows[0], rows[1]):
+        _fill_normal(row * columns, key, deviates, bits, in_tail)
+        others = 0
         for column in range(columns):
-            bits[column] = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
-            means[column] = photons[row, column] * chip.quantum_efficiency + chip.background_e
-        _fill_normal(bits, deviates, in_tail)
-        if em_gain > 1:
-            _fill_many_multiplied(means, em_gain, deviates, electrons)
-        for column in range(columns):
-            mean = means[column]
-            if em_gain > 1 and _COMPOUND_LIMIT < mean < full_well / 2:
-                continue
-            few = min(poisson(mean, deviates[column], bits[column]), full_well)
-            electrons[column] = multiplied(few, em_gain, splitmix64(bits[column])) if em_gain > 1 and few > 0 else few
-        for column in range(columns):
-            bits[column] >>= _32
-        _fill_normal(bits, deviates, in_tail)
-        well = chip.register_full_well_e if em_gain > 1 else full_well
-        for column in range(columns):
-            signal = min(electrons[column], well)
-            signal -= chip.loss_per_e * signal * signal
-            value = (signal + chip.read_noise_e * deviates[column]) * chip.counts_per_e + chip.offset_counts
-            counts[row, column] = np.uint16(min(max(value + 0.5, 0.0), chip.full_scale))
+            mean, z = image[row, column] * dose * chip.quantum_efficiency + chip.background_e, deviates[column]
+            total, square = mean * second_e + read_variance, z * z
+            root, inverse = np.sqrt(total), one / total
+            skewness, excess = mean * third_e * root * inverse * inverse, mean * fourth_e * inverse * inverse
+            z += skewness * (square - one) + z * (
+                excess * (square - three) - skewness * skewness * (two * square - five)
+            )
+            value = (mean * chip.em_gain + root * z) * chip.counts_per_e + chip.offset_counts
+            counts[row, column] = np.uint16(min(max(value + half, zero), chip.full_scale))
+            others += (skewness > most_skew) | (excess > most_excess) | (mean >= highest)
+            means[column] = mean
+        if others:
+            for column in range(columns):
+                mean = means[column]
+                total = mean * second_e + read_variance
+                is_skewed = mean * third_e > most_skew * total * np.sqrt(total)
+                if is_skewed or mean * fourth_e > most_excess * total * total or mean >= highest:
+                    own = splitmix64(key ^ (np.uint64(row * columns + column) * _MIX_2))
+                    counts[row, column] = _expose_pixel(float(mean), own, chip)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -235,30 +269,37 @@ class Detector:
         """End the threads."""
         self._pool.shutdown()
 
-    def counts(self, photons: NDArray[np.float32], exposure: FrameConditions) -> NDArray[np.uint16]:
-        """Counts of one frame, (row, column), from the mean photons on each pixel during the exposure."""
-        edges = [len(photons) * part // THREADS for part in range(THREADS + 1)]
-        counts = np.empty(photons.shape, np.uint16)
-        jobs = [self._pool.submit(self._expose, photons, exposure, rows, counts) for rows in pairwise(edges)]
+    def counts(
+        self, image: NDArray[np.float32], exposure: FrameConditions, *, dose: np.float32 = _NUMBERS[1]
+    ) -> NDArray[np.uint16]:
+        """Counts of one frame, (row, column), from the mean photons on each pixel during it: `image` x `dose`."""
+        edges = [len(image) * part // THREADS for part in range(THREADS + 1)]
+        counts = np.empty(image.shape, np.uint16)
+        jobs = [self._pool.submit(self._expose, image, dose, exposure, rows, counts) for rows in pairwise(edges)]
         for job in jobs:
             job.result()
         return counts
 
     def begin(
-        self, photons: Callable[[], NDArray[np.float32]], exposure: FrameConditions
+        self, light: Callable[[], tuple[NDArray[np.float32], np.float32]], exposure: FrameConditions
     ) -> Future[NDArray[np.uint16]]:
-        """Begin to compute the counts of a frame in one thread; `photons` is called there."""
+        """Begin to compute a frame's counts in one thread, where `light` returns an image and its dose."""
 
         def work() -> NDArray[np.uint16]:
-            received = photons()
-            counts = np.empty(received.shape, np.uint16)
-            self._expose(received, exposure, (0, len(received)), counts)
+            image, dose = light()
+            counts = np.empty(image.shape, np.uint16)
+            self._expose(image, dose, exposure, (0, len(image)), counts)
             return counts
 
         return self._pool.submit(work)
 
     def _expose(
-        self, photons: NDArray[np.float32], exposure: FrameConditions, rows: tuple[int, int], counts: NDArray[np.uint16]
+        self,
+        image: NDArray[np.float32],
+        dose: np.float32,
+        exposure: FrameConditions,
+        rows: tuple[int, int],
+        counts: NDArray[np.uint16],
     ) -> None:
         """Fill rows of the counts; see `expose_rows`."""
         settings, is_em = self._settings, exposure.amplifier == "em"
@@ -278,7 +319,7 @@ class Detector:
         )
         hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
         key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
-        expose_rows(photons, key, Chip._make(map(np.float32, chip)), rows, counts)
+        expose_rows(image, dose, key, Chip._make(map(np.float32, chip)), rows, counts)
 
 
 @cache
@@ -288,7 +329,7 @@ def compile_ahead() -> None:
     def expose() -> None:
         detector = Detector(SimulatedCameraSettings(), seed=0)
         exposure = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
-        detector.begin(lambda: np.zeros((1, 1), np.float32), exposure).result()
+        detector.begin(lambda: (np.zeros((1, 1), np.float32), np.float32(1)), exposure).result()
         detector.close()
 
     Thread(target=expose, name="compile-detector", daemon=True).start()

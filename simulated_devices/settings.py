@@ -124,7 +124,16 @@ class SimulatedCameraSettings(Checked):
     driver: Literal["simulated"] = "simulated"
     rows: Annotated[int, Ge(8), Le(8192)] = 512
     columns: Annotated[int, Ge(8), Le(8192)] = 512
-    exposure_s: Annotated[float, Ge(0.0139), Le(7200), Doc("The range depends on amplifier and speed")] = 1 / 70
+    exposure_s: Annotated[float, Ge(1e-4), Le(7200), Doc("The range depends on amplifier and speed")] = 1 / 70
+    shortest_exposure_s: (
+        Annotated[float, Ge(1e-4), Le(1), Doc("In place of the time of the read-out, for a faster camera")] | None
+    ) = None
+    noise_frames: Annotated[
+        int,
+        Ge(0),
+        Le(100),
+        Doc("Frames of each image, which are repeated and cost a copy; 0: each frame has its own noise"),
+    ] = 0
     amplifier: Amplifier = "em"
     readout_speed: Annotated[int, Ge(1), Le(3), Doc("Speed of the EM amplifier; the normal one has speed 1 only")] = 3
     em_gain: Annotated[float, Ge(1), Le(1e5)] = 1.0
@@ -146,7 +155,7 @@ class SimulatedCameraSettings(Checked):
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
-        allowed = exposure_range_s(self.amplifier, self.readout_speed)
+        allowed = self.exposure_range_s(self.amplifier, self.readout_speed)
         if not allowed.minimum <= self.exposure_s <= allowed.maximum:
             limits = f"{allowed.minimum:.3g} ... {allowed.maximum:g}"
             yield "exposure_s", f"must be {limits} s with this amplifier and speed"
@@ -156,6 +165,11 @@ class SimulatedCameraSettings(Checked):
             yield "em_gain", 'needs amplifier = "em"'
         if self.offset_counts >= 2**self.bits:
             yield "offset_counts", "must lie on the camera's scale"
+
+    def exposure_range_s(self, amplifier: Amplifier, readout_speed: int) -> Range:
+        """Exposure times (s) that the camera allows."""
+        allowed = exposure_range_s(amplifier, readout_speed)
+        return allowed if self.shortest_exposure_s is None else Range(self.shortest_exposure_s, allowed.maximum)
 
     @property
     def loss_per_e(self) -> float:

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,8 +22,11 @@ if TYPE_CHECKING:
     from app.evaluation.live_path import LiveFigures, LivePlan, MeasuredRun, Span
     from app.gui.shell.main_window import MainWindow
 
-_LIVE_EXPOSURE_S = 0.014286  # 70 frames/s
+_RATE_HZ = 70.0
+_LIGHT_A = 0.35  # at that rate; as many photons fall into a frame at others
 _POLL_S = 0.1
+_PROBE_S, _PROBE_WARM_UP_S = 10.0, 3.0  # of one rate, with `--camera-rate find`
+_SLOWEST_HZ, _FASTEST_HZ, _FINENESS = 5.0, 2000.0, 1.05
 _LEAST_MS = 0.02  # of processor time in a frame, for which a thread is listed
 
 
@@ -40,6 +46,16 @@ def benchmark(
     panels: Annotated[
         bool, typer.Option("--panels", help="With --live: open coefficients, history and histogram, too.")
     ] = False,
+    rendered: Annotated[
+        bool, typer.Option("--rendered", help="With --live: frames from memory, which cost a copy as a real camera's.")
+    ] = False,
+    camera_rate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="RATE",
+            help="With --live: frames/s [default: 70]; find: the highest of which 99 % are reconstructed, none lost.",
+        ),
+    ] = None,
     bench: Annotated[str | None, options.bench_option(f"With --live: simulated bench [default: {DEFAULT}].")] = None,
     overwrite: options.Overwrite = False,
     setting: options.Set = None,
@@ -59,18 +75,25 @@ def benchmark(
     if live is not None:
         from app.evaluation.live_path import LivePlan
 
-        settings = (f"camera.exposure_s={_LIVE_EXPOSURE_S}", "reconstruction.refine=false", *(setting or ()))
-        loaded = options.load(bench or DEFAULT, list(settings))
         folder = None if no_record else record_in or Path(gettempdir())
-        live_plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
+
+        def plan(rate_hz: float) -> LivePlan:
+            settings = (*_settings(rate_hz), *(["camera.noise_frames=2"] if rendered else []), *(setting or ()))
+            loaded = options.load(bench or DEFAULT, ["reconstruction.refine=false", *settings])
+            return LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
+
         with terminal.progress_bar() as progress:
-            figures = benchmark_acquisition(live_plan, progress)
+            rate_hz = find_rate(plan, progress) if camera_rate == "find" else _rate(camera_rate)
+            figures = benchmark_acquisition(plan(rate_hz or _SLOWEST_HZ), progress)
         print_figures(figures)
         numbers, missed = figures.tree(), figures.missed()
-    elif bench or setting or record_in or no_record or panels or check:
+        if camera_rate == "find":
+            numbers["live"]["highest_rate_hz"] = rate_hz
+            terminal.print_sentence(f"Highest rate with 99 % reconstructed and none lost: {rate_hz:.0f} frames/s.")
+    elif bench or setting or record_in or no_record or panels or rendered or camera_rate or check:
         raise InputError(
-            "--bench, --set, --record-in, --no-record, --panels and --check are only for the live benchmark: add --live"
-            " SECONDS"
+            "--bench, --set, --record-in, --no-record, --panels, --rendered, --camera-rate and --check are only for the"
+            " live benchmark: add --live SECONDS"
         )
     else:
         from app.evaluation.benchmark import run_benchmark
@@ -83,6 +106,43 @@ def benchmark(
         write_record(json, numbers)
     if check and missed:
         raise RunError(f"missed: {'; '.join(missed)}")
+
+
+def _rate(text: str | None) -> float:
+    try:
+        rate_hz = _RATE_HZ if text is None else float(text)
+    except ValueError:
+        rate_hz = 0.0
+    if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
+        raise InputError(f"--camera-rate {text}: give {_SLOWEST_HZ:g} ... {_FASTEST_HZ:g} frames/s, or find")
+    return rate_hz
+
+
+def _settings(rate_hz: float) -> list[str]:
+    """Settings of a bench whose simulated camera has this rate, and its light as much light in each frame."""
+    current_a = _LIGHT_A * rate_hz / _RATE_HZ
+    return [
+        f"camera.exposure_s={1 / rate_hz:.6f}",
+        f"camera.shortest_exposure_s={min(1 / rate_hz, 0.0139):.6f}",
+        f"light.current_a={current_a:g}",
+        f"light.maximum_current_a={max(current_a, 1.0):g}",
+    ]
+
+
+def find_rate(plan: Callable[[float], LivePlan], progress: Progress) -> float:
+    """Find the highest rate of the camera, to 5 %, at which nothing is lost and 99 % of the frames reconstructed."""
+    highest_hz, lowest_hz, rate_hz = math.inf, 0.0, _RATE_HZ
+    while highest_hz > _FINENESS * lowest_hz:
+        probe = replace(plan(rate_hz), seconds=_PROBE_S, warm_up_s=_PROBE_WARM_UP_S, is_probe=True)
+        figures = benchmark_acquisition(probe, named(progress, f"{rate_hz:.0f} frames/s"))
+        if figures.keeps_up:
+            lowest_hz = rate_hz
+        else:
+            highest_hz = rate_hz
+        rate_hz = 2 * lowest_hz if highest_hz == math.inf else math.sqrt(highest_hz * max(lowest_hz, highest_hz / 4))
+        if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
+            break
+    return lowest_hz
 
 
 def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
@@ -108,6 +168,11 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
             record_into=folder,
         )
         _run_in_window(with_window, with_panels=plan.with_panels)
+    figures = LiveFigures(
+        plan=plan, is_seen=is_seen, window=with_window.span, recording=with_window.acquisition.recording
+    )
+    if plan.is_probe:
+        return figures
     alone = named(between(progress, middle, 1.0), "no window")
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
         warm_up_s, seconds = plan.bare_warm_up_s, plan.without_window_s
@@ -116,14 +181,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         without_window.send()
         for _ in without_window.steps():
             time.sleep(_POLL_S)
-    return LiveFigures(
-        plan=plan,
-        is_seen=is_seen,
-        window=with_window.span,
-        recording=with_window.acquisition.recording,
-        bare=without_window.span,
-        processor_s=total_s(),
-    )
+    return replace(figures, bare=without_window.span, processor_s=total_s())
 
 
 def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:

@@ -34,6 +34,7 @@ _BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
 _MARGIN = 1.1  # times the expected size of the recording
 _BARE_WARM_UP_S = 3.0  # at most
+_LEAST_SHARE, _LEAST_SHARE_WITH_PANELS = 0.99, 0.97  # of the frames, reconstructed
 _PROCESSOR_S, _PROCESSOR_LASTING_S = 55.0, 68.3  # asked of --live 40, and how long that runs
 
 
@@ -46,6 +47,7 @@ class LivePlan:
     record_in: Path | None  # folder of the temporary recording; None for none
     with_panels: bool = False  # coefficients, history and histogram are open beside the window
     warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
+    is_probe: bool = False  # without the run that has neither window nor recording
 
     def __post_init__(self) -> None:
         if not LEAST_S <= self.seconds <= MOST_S:
@@ -275,13 +277,19 @@ class LiveFigures:
     is_seen: bool  # the window was on a display
     window: Span
     recording: RecordingState | None  # at its end
-    bare: Span  # without window and recording
-    processor_s: float | None  # of both runs and all their processes, from start to end; None if unknown
+    bare: Span | None = None  # without window and recording
+    processor_s: float | None = None  # of both runs and all their processes, from start to end; None if unknown
+
+    @property
+    def keeps_up(self) -> bool:
+        """True if 99 % of the frames were reconstructed, none lost and all recorded."""
+        frames, is_recorded = self.window.frames, not (self.recording and self.recording.problem)
+        return share(frames) >= _LEAST_SHARE and not frames.lost and is_recorded
 
     @property
     def rate_ratio(self) -> float:
         """Rate with the window over the rate without; NaN without any wavefront."""
-        return self.window.rate_hz / self.bare.rate_hz if self.bare.rate_hz else math.nan
+        return self.window.rate_hz / self.bare.rate_hz if self.bare and self.bare.rate_hz else math.nan
 
     @property
     def memory_growth(self) -> float | None:
@@ -304,7 +312,7 @@ class LiveFigures:
             add(name, f"{shown} ms" if each.count else "none", *limit)
 
         add("frames acquired", f"{frames.acquired}")
-        least = 0.97 if self.plan.with_panels else 0.99
+        least = _LEAST_SHARE_WITH_PANELS if self.plan.with_panels else _LEAST_SHARE
         reconstructed = f"{frames.reconstructed}: {100 * share(frames):.2f} %"
         add("reconstructed", reconstructed, "share", share(frames), ge, least, f">= {100 * least:.0f} %")
         add("lost by the camera", f"{frames.lost}", "lost", frames.lost, le, 0, "none")
@@ -328,9 +336,10 @@ class LiveFigures:
             add("memory of all processes", f"{end_mb:.0f} MB", "memory_mb", end_mb, le, 1000.0, "<= 1000 MB")
             grown = f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * growth:+.2f} %"
             add(memory, grown, "memory_growth", growth, lt, 0.01, "< 1 %")
-        add(f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s")
-        rate = f"{window.rate_hz:.2f} /s: {100 * ratio:.1f} %"
-        add("rate with it", rate, "rate_ratio", ratio, ge, 0.95, ">= 95 %")
+        if bare is not None:
+            add(f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s")
+            rate = f"{window.rate_hz:.2f} /s: {100 * ratio:.1f} %"
+            add("rate with it", rate, "rate_ratio", ratio, ge, 0.95, ">= 95 %")
         add("first wavefront after", f"{first_s:.1f} s", "first_wavefront_s", first_s, le, 5.0, "<= 5 s, warm")
         if (taken_s := self.processor_s) is not None:
             most_s = _PROCESSOR_S * (self.plan.lasting_s / _PROCESSOR_LASTING_S)
@@ -356,7 +365,7 @@ class LiveFigures:
             "window_is_seen": self.is_seen,
             "bench": write_bench(plan.bench),
             "window": self.window.tree(),
-            "without_window": self.bare.tree(),
+            "without_window": self.bare and self.bare.tree(),
             "memory_s": plan.memory_s,
             "processor_s": self.processor_s,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},

@@ -116,6 +116,22 @@ def test_multiplied_electrons_are_distributed_as_in_a_register(mean: float) -> N
     assert scipy.stats.ks_2samp(counts, truth).statistic < 1.95 * math.sqrt(2 / PIXELS) + 0.002
 
 
+@pytest.mark.parametrize("noise", [3.0, 37.0])
+@pytest.mark.parametrize("em_gain", [1.0, 7.0, 100.0])
+@pytest.mark.parametrize("mean", [0.01, 1.0, 6.0, 15.0, 60.0])
+def test_all_noise_together_is_distributed_as_step_by_step(mean: float, em_gain: float, noise: float) -> None:
+    exposure = replace(NORMAL, amplifier="em", em_gain=em_gain)
+    counts = counts_with(mean, exposure, em_read_noise_e=(noise,) * 3, offset_counts=500.0).ravel()  # type: ignore[arg-type] # three numbers
+    generator = np.random.default_rng(1)
+    electrons = generator.poisson(mean, PIXELS).astype(float)
+    if em_gain > 1:
+        electrons += generator.negative_binomial(np.maximum(electrons, 1), 1 / em_gain) * (electrons > 0)
+    truth = np.floor(np.maximum(electrons + generator.normal(0, noise, PIXELS) + 500.5, 0))
+    largest = max(truth.std() * 5 / math.sqrt(PIXELS), 1e-3)
+    assert counts.mean() == pytest.approx(mean * em_gain + 500, abs=2 * largest)
+    assert scipy.stats.ks_2samp(counts, truth).statistic < 1.95 * math.sqrt(2 / PIXELS) + 0.002
+
+
 def test_gain_one_and_normal_amplifier_do_not_multiply() -> None:
     plain = counts_with(40.0)
     np.testing.assert_array_equal(plain, counts_with(40.0, replace(NORMAL, amplifier="em", em_gain=1.0)))

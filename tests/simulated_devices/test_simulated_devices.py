@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +19,7 @@ from support.stage_contract import StageContract
 from drivers.interface import BadValue, DeviceTimeout, Range, Region
 from simulated_devices.bench import PHOTONS_PER_S_M2_A, SimulatedBench, SimulatedLight, SimulatedStage
 from simulated_devices.camera import SimulatedCamera
+from simulated_devices.detector import Detector
 from simulated_devices.settings import exposure_range_s
 
 
@@ -215,3 +218,34 @@ def test_region_is_part_of_the_whole_frame(camera: SimulatedCamera, light: Simul
     spread = np.sqrt(whole.max() * 2 / 5.8 + 100)
     assert abs(difference).max() < 8 * spread
     assert abs(shown - whole[17:81, 48:128]).max() > 30 * spread  # one row off
+
+
+def test_repeated_frames_are_computed_once(cache_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = open_bench(cache_folder)
+    bench.camera_settings = replace(CAMERA, noise_frames=2, shortest_exposure_s=1e-3, exposure_s=2e-3)
+    computed: list[int] = []
+    counts = Detector.counts
+
+    def counted(*arguments: Any, **named: Any) -> Any:
+        computed.append(1)
+        return counts(*arguments, **named)
+
+    monkeypatch.setattr(Detector, "counts", counted)
+    with closing(bench), SimulatedCamera(bench) as camera, SimulatedLight(bench) as light:
+        light.set_on(True)
+        assert camera.capabilities.exposure_range_s.minimum == 1e-3
+        camera.start()
+        camera.read(1.0)  # the light was off at the very beginning of its exposure
+        computed.clear()
+        frames = [camera.read(1.0) for _ in range(7)]
+        assert len(computed) == 2
+        assert [frame.index for frame in frames] == list(range(1, 8))
+        assert frames[6].camera_time_s - frames[0].camera_time_s == pytest.approx(6 * 2e-3)
+        for frame in frames[2:]:
+            np.testing.assert_array_equal(frame.pixels, frames[(frame.index - 1) % 2].pixels)
+        assert (frames[0].pixels != frames[1].pixels).any()
+        assert not np.shares_memory(frames[0].pixels, frames[2].pixels)
+        light.set_on(False)
+        camera.read(1.0)
+        dark = camera.read(1.0)
+        assert dark.pixels.mean() < frames[0].pixels.mean()
