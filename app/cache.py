@@ -7,8 +7,8 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from functools import cache, wraps
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,20 @@ from reconstruction.arrays import reading_npy
 _KEPT = 400  # results of one kind; a third of a gigabyte of images
 
 Arrays = Mapping[str, NDArray[Any]]
+
+
+@contextmanager
+def loading() -> Iterator[None]:
+    """Collect no garbage meanwhile, and never look again at what is there at the end, mostly modules.
+
+    A full collection would stop a redraw or a measurement for 100 ms.
+    """
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @cache
@@ -101,6 +115,8 @@ def release_memory() -> None:
     An acquisition refers to itself, and Python seldom looks for such objects. The GNU library keeps freed memory that
     lies between pieces in use.
     """
+    gc.unfreeze()
     gc.collect()
+    gc.freeze()
     if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)):
         trim(0)

@@ -21,6 +21,7 @@ else:
     import fcntl
 
 NAME = "instrument"
+CLOSING_S = 45.0  # until a closed instrument ends: a frame of the slowest method takes up to half of it
 DYING_S = 0.5  # for a killed process to give its files back
 _FOLDER = "SVWFS_RUNTIME_DIR"
 _LASTING = "lock", "log"  # endings of what stays when an instrument has ended

@@ -46,7 +46,6 @@ from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
 
-CLOSING_S = 45.0  # until a closed instrument ends: a frame of the slowest method takes up to half of it
 WINDOW = "live"  # command of the recordings of a window, and of those that name none
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background

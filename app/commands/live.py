@@ -14,6 +14,7 @@ from app.acquisition.address import NAME, file_of
 from app.bench.config import load_bench
 from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
+from app.cache import loading
 from app.commands import options, terminal
 from app.commands.display import use_display
 from app.errors import InputError
@@ -22,7 +23,8 @@ from app.files import make_folder
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
+    from app.acquisition.remote.own_connection import OwnConnection
+    from app.acquisition.remote.own_instrument import OwnInstrument
     from app.acquisition.running_instrument import RunningInstrument
     from app.bench.config import Bench
     from app.gui.shell.instrument_factory import InstrumentFactory
@@ -135,7 +137,8 @@ def _is_sound(source: str) -> bool:
 
 def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
     """Run a window that opens benches in a process of its own; remind of a manual light."""
-    from app.gui.application import run_window
+    with loading():
+        from app.gui.application import run_window
 
     opened: list[OwnConnection] = []
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from app.acquisition.address import NAME, taken_address
+from app.cache import loading
 from app.commands import options, terminal
 from app.errors import Interrupted
 from app.measurement.routines import Cancelled
@@ -38,8 +39,9 @@ def serve(
 
     Example: svwfs serve --bench lab.toml --name left
     """
-    from app.acquisition.remote.server import Server
-    from app.acquisition.start_up import start_up
+    with loading():
+        from app.acquisition.remote.server import Server
+        from app.acquisition.start_up import start_up
 
     def begin(acquisition: Acquisition) -> None:
         def tell(step: Future[Any]) -> None:

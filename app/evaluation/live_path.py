@@ -13,7 +13,7 @@ from operator import ge, le, lt
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from app.acquisition.remote.own_instrument import OwnConnection
+from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.start_up import HeadlessRun
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by

@@ -8,11 +8,12 @@ from pathlib import Path
 
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
-from app.acquisition.instrument import CLOSING_S
+from app.acquisition.address import CLOSING_S
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.cache import loading
 from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, saved_state
@@ -54,11 +55,12 @@ def run_window(
         A signal such as Ctrl-C closed the window.
     """
     qInstallMessageHandler(_pass_on)
-    application = styled_application()
-    saved = saved_state() if steps is None else None
-    if saved is not None:
-        apply_preferences(application, saved)
-    window = MainWindow(saved=saved, make_for=make_for)
+    with loading():
+        application = styled_application()
+        saved = saved_state() if steps is None else None
+        if saved is not None:
+            apply_preferences(application, saved)
+        window = MainWindow(saved=saved, make_for=make_for)
     timer = None if steps is None else _StepTimer(window, steps(window))
     signals: list[int] = []
 
@@ -72,7 +74,6 @@ def run_window(
             if saved is None:
                 window.resize(WINDOW_SIZE)  # the screen of Qt's offscreen platform is small
             open_first(window)
-            gc.freeze()  # a full collection would look at all modules, for 100 ms amid a redraw
             status = application.exec()
         finally:
             gc.unfreeze()

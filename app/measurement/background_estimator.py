@@ -8,7 +8,6 @@ correction made the misfit of the modelled displacements worse.
 
 import math
 import os
-import pickle
 import sys
 import threading
 import time
@@ -26,15 +25,17 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.refinement import Bias, Refinement
-from reconstruction.runtime.background import NICENESS, BackgroundProcess
+from reconstruction.runtime.background import NICENESS, BackgroundProcess, Pickled, pickled
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, mean_rms
 
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
 _REST, _LONG_REST = 1, 9  # after a search, over its time; the latter if it has found the same again
-_LONGEST_REST_S = 5.0
-_SAME_SIGMAS = 3.0
+_LONGEST_REST_S = 5.0  # if the wavefront or its misfit has changed since
+_LONGEST_STILL_S = 60.0  # if not; each rest is twice as long as the one before
+_SAME_SIGMAS, _KEPT_SIGMAS = 3.0, 1.0  # within the latter the sample found before is kept
 
 
 class Solved(NamedTuple):
@@ -43,6 +44,7 @@ class Solved(NamedTuple):
     measured: Displacement  # before the bias
     time_s: float
     assumed: Assumptions
+    is_still: bool = False  # wavefront and misfit are those of a frame that was searched before
 
 
 class Found(NamedTuple):
@@ -53,7 +55,8 @@ class Found(NamedTuple):
     time_s: float = math.nan  # of the frame that gave the bias
     is_helpful: bool = True  # corrections near it do no harm
     problem: str = ""  # why nothing new was found
-    idle_s: float = 0.0  # time until there is something to find, unless the wavefront changes
+    rest_s: float = 0.0  # time until there may be something to find
+    idle_s: float = 0.0  # the same, unless wavefront or misfit changes
 
 
 class BackgroundEstimator:
@@ -64,7 +67,8 @@ class BackgroundEstimator:
         searches = self._reconstructor.may_be_layered
         self._refinement: Refinement | None = None
         self._found = Found(None if searches else FREE)
-        self._search_due_s = -math.inf if searches else math.inf
+        self._due_s = self._still_due_s = -math.inf if searches else math.inf  # next search; the same if all is still
+        self._rest_s, self._has_changed = 0.0, True  # last rest; since the last search
         self._uncorrected_px = math.inf  # misfit of the last uncorrected wavefront
 
     def prepare(self) -> None:
@@ -83,25 +87,18 @@ class BackgroundEstimator:
         try:
             self._found = self._find(newest, self._found)
         except ReconstructionError as error:  # the next wavefront may succeed
-            self._found = self._found._replace(problem=str(error), idle_s=0.0)
+            self._found = self._found._replace(problem=str(error), rest_s=0.0, idle_s=0.0)
         return self._found
 
     def _find(self, newest: Solved, before: Found) -> Found:
         sample, correction = before.sample, newest.assumed.refinement
-        begin_s = time.monotonic()
-        if begin_s >= self._search_due_s:
-            rest = _REST
-            try:
-                sample = self._reconstructor.find_sample(newest.measured)
-                if before.sample is not None and _are_alike(sample, before.sample):
-                    rest = _LONG_REST
-            finally:
-                end_s = time.monotonic()
-                self._search_due_s = end_s + min(rest * (end_s - begin_s), _LONGEST_REST_S)
+        self._has_changed |= not newest.is_still
+        if time.monotonic() >= (self._due_s if self._has_changed else self._still_due_s):
+            sample = self._search(newest.measured, before.sample)
         elif correction.stage == "worse":  # until the wavefront changes
-            return before._replace(idle_s=self._idle_s())
-        if self._refinement is None:
-            return before._replace(sample=sample, idle_s=self._idle_s())
+            return self._resting(before)
+        if self._refinement is None or (newest.is_still and sample is before.sample and before.bias is not None):
+            return self._resting(before._replace(sample=sample))
         applied = correction.bias
         if sample is not None and len(sample.ratios) != len((newest.assumed.sample or FREE).ratios):
             applied = None  # of quite another wavefront
@@ -110,11 +107,29 @@ class BackgroundEstimator:
         misfit_px = bias.misfit_px(newest.measured)
         if applied is None:
             self._uncorrected_px = misfit_px
-        return Found(sample, bias, newest.time_s, misfit_px <= _HARM * self._uncorrected_px + _HARM_PX)
+        is_helpful = misfit_px <= _HARM * self._uncorrected_px + _HARM_PX
+        return self._resting(Found(sample, bias, newest.time_s, is_helpful))
 
-    def _idle_s(self) -> float:
-        """Time until the next search is due, or the longest rest if there is none."""
-        return min(self._search_due_s - time.monotonic(), _LONGEST_REST_S)
+    def _search(self, measured: Displacement, before: AssumedSample | None) -> AssumedSample:
+        """Find the sample, and say when to search again: later and later while it stays the same."""
+        begin_s, is_same = time.monotonic(), False
+        self._has_changed = False
+        try:
+            found = self._reconstructor.find_sample(measured)
+            is_same = before is not None and _are_alike(found, before, _SAME_SIGMAS)
+        finally:
+            end_s = time.monotonic()
+            rest_s = (_LONG_REST if is_same else _REST) * (end_s - begin_s)
+            self._rest_s = min(max(rest_s, 2 * self._rest_s), _LONGEST_STILL_S) if is_same else rest_s
+            self._due_s, self._still_due_s = end_s + min(rest_s, _LONGEST_REST_S), end_s + self._rest_s
+        # Each other place would be prepared anew, and noise moves it.
+        return before if before is not None and _are_alike(found, before, _KEPT_SIGMAS) else found
+
+    def _resting(self, found: Found) -> Found:
+        """Add for how long there is nothing to find."""
+        now_s = time.monotonic()
+        due_s = self._due_s if self._has_changed else self._still_due_s
+        return found._replace(rest_s=self._due_s - now_s, idle_s=min(due_s - now_s, _LONGEST_STILL_S))
 
 
 class BackgroundEstimatorProcess:
@@ -122,7 +137,7 @@ class BackgroundEstimatorProcess:
 
     def __init__(self, estimator: Estimator) -> None:
         """Start the process; later, frames may change what the estimator remembers while it is pickled."""
-        self._estimator = pickle.dumps(estimator, pickle.HIGHEST_PROTOCOL)
+        self._estimator: Pickled | None = pickled(estimator)
         self._process = BackgroundProcess(_work)
         self.process = self._process.process
         self._sample: AssumedSample | None = FREE
@@ -130,7 +145,7 @@ class BackgroundEstimatorProcess:
     def prepare(self) -> None:
         """See `BackgroundEstimator.prepare`; `EOFError` or `OSError` if the process has ended."""
         self._process.send(self._estimator)
-        self._estimator = b""
+        self._estimator = None
         if problem := self._process.receive():
             raise ReconstructionError(problem)
 
@@ -154,7 +169,7 @@ class BackgroundEstimatorProcess:
 
 def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
     """Be the process of a `BackgroundEstimatorProcess`."""
-    background_estimator = BackgroundEstimator(pickle.loads(next(messages)))  # noqa: S301 - our own parent wrote it
+    background_estimator = BackgroundEstimator(next(messages))
     with one_blas_thread():
         try:
             background_estimator.prepare()
@@ -170,18 +185,20 @@ def _are_the_same(one: AssumedSample, other: AssumedSample) -> bool:
     return one.ratios == other.ratios and np.array_equal(one.sigma, other.sigma)
 
 
-def _are_alike(found: AssumedSample, before: AssumedSample) -> bool:
-    """True if two searches have found as many layers, at places that differ by no more than their errors."""
+def _are_alike(found: AssumedSample, before: AssumedSample, sigmas: float) -> bool:
+    """True if two searches have found as many layers, at places that differ by at most so many standard errors."""
     if len(found.ratios) != len(before.ratios):
         return False
     moved = np.abs(np.subtract(found.ratios, before.ratios))
-    return bool(np.all(moved <= _SAME_SIGMAS * np.hypot(found.sigma, before.sigma)))
+    return bool(np.all(moved <= sigmas * np.hypot(found.sigma, before.sigma)))
 
 
 _MOVED_FRACTION = 0.5  # of the RMS of the bias's wavefront; after a larger change the bias is useless
 _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _CORRECTION_REST_S = 1.0  # at most, after a search with a correction, which would grow old
 _WAIT_S = 0.2
+_NOISES, _STILL_RAD = 2.0, 0.01  # changes of the wavefront from frame to frame, and a least one, that count as noise
+_MISFIT_GREW = 1.25  # noise of the displacements over that of another frame; by chance it is below 1.1
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
 
 
@@ -194,6 +211,8 @@ class LiveEstimator:
         searches = self._reconstructor.may_be_layered
         self._refines = estimator.calibration.bench.reconstruction.refine
         self._newest: Solved | None = None  # one slot each way, written by one thread
+        self._wavefronts: tuple[Wavefront, Wavefront] | None = None  # the newest, and the one before
+        self._searched: Wavefront | None = None  # since which nothing has changed, or the last one that was searched
         self._found = Found(None if searches else FREE)
         self._something_new, self._closing = threading.Event(), threading.Event()
         self.has_background_estimator = searches or self._refines
@@ -233,6 +252,7 @@ class LiveEstimator:
             applied = bias.displacement if stage == "applied" else None
             state = RefinementState(stage, time_s - found.time_s, moved_rad, bias=applied)
         assumed = Assumptions(found.sample, state)
+        self._wavefronts = wavefront, wavefront if self._wavefronts is None else self._wavefronts[0]
         self._newest = Solved(displacement, time_s, assumed)
         self._something_new.set()
         return wavefront, assumed
@@ -253,7 +273,7 @@ class LiveEstimator:
         return RefinementState("failed" if problem else "preparing", problem=problem)
 
     def _work(self, background_estimator: BackgroundEstimatorProcess) -> None:
-        """Have the newest frame searched again and again, with a rest as long as the work, or while idle."""
+        """Have the newest frame searched again and again, with a rest as long as the work, or until it changes."""
         if sys.platform == "linux":  # threads have their own priority only here
             os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICENESS)
         try:
@@ -261,10 +281,13 @@ class LiveEstimator:
             while not self._closing.is_set():
                 if self._something_new.wait(_WAIT_S) and self._newest is not None:
                     self._something_new.clear()
-                    newest, begin_s = self._newest, time.monotonic()
-                    found = background_estimator.find(newest)
+                    newest, begin_s, is_still = self._newest, time.monotonic(), self._is_still()
+                    if not is_still and self._wavefronts is not None:
+                        self._searched = self._wavefronts[0]
+                    found = background_estimator.find(newest._replace(is_still=is_still))
                     self._use(found, newest)
-                    self._rest(max(min(time.monotonic() - begin_s, _CORRECTION_REST_S), found.idle_s))
+                    work_s = min(time.monotonic() - begin_s, _CORRECTION_REST_S)
+                    self._rest(work_s if self._refines else max(work_s, found.rest_s), max(work_s, found.idle_s))
         except ReconstructionError as error:
             self._give_up(str(error))
         except (EOFError, OSError):
@@ -289,10 +312,34 @@ class LiveEstimator:
                 self._reconstructor.solve(newest.measured, sample=found.sample).sigma()
         self._found = found
 
-    def _rest(self, seconds: float) -> None:
-        """Wait, unless frames lack a correction that could be found."""
-        end_s = time.monotonic() + seconds
-        while (left_s := end_s - time.monotonic()) > 0 and not self._closing.is_set():
+    def _rest(self, at_least_s: float, at_most_s: float) -> None:
+        """Wait until something changes, and no longer if frames lack a correction that could be found."""
+        begin_s = time.monotonic()
+        while (rested_s := time.monotonic() - begin_s) < at_most_s and not self._closing.is_set():
             if self._newest is not None and self._newest.assumed.refinement.stage in {"preparing", "moved"}:
                 return
-            self._closing.wait(min(left_s, _WAIT_S))
+            if rested_s >= at_least_s and not self._is_still():
+                return
+            self._closing.wait(min(at_most_s - rested_s, _WAIT_S))
+
+    def _is_still(self) -> bool:
+        """True if the misfit has not grown, nor the wavefront changed by more than from frame to frame.
+
+        A changed wavefront behind the same layers matters to a correction only.
+        """
+        searched, frames = self._searched, self._wavefronts
+        if searched is None or frames is None:
+            return False
+        newest, before = frames
+        if _misfit(newest) > _MISFIT_GREW * _misfit(searched):
+            return False
+        if newest.sample.ratios and not self._refines:
+            return True
+        moved_rad, noise_rad = (mean_rms(newest.views - other.views) for other in (searched, before))
+        return not moved_rad > _NOISES * noise_rad + _STILL_RAD
+
+
+def _misfit(wavefront: Wavefront) -> float:
+    """Variance of the displacements' errors over the expected one."""
+    solution = wavefront.solution
+    return solution.noise if isinstance(solution, ModalSolution) else 1.0

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -121,6 +121,48 @@ def _finite(image: Counts, name: str) -> Image:
 
 def _size(shape: tuple[int, ...]) -> str:
     return " x ".join(str(length) for length in shape)
+
+
+class Samples(NamedTuple):
+    """Pixels of lenslets that are looked at, each (lenslet, sample)."""
+
+    pixel: NDArray[np.int32]  # of the flattened frame; a good one of the lenslet in place of a bad one
+    good: Image  # 1, or 0 for those replaced
+    gap: Image  # 1 between the openings, else 0
+    dark: Image  # counts; 0 if unknown
+    expected: Image  # counts of the reference
+
+
+COMPILED_COUNTS = {np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float64)}  # frames that `collect` reads
+
+
+@compiled
+def collect(
+    frame: Counts, samples: Samples, camera: tuple[np.float32, Image], counts: Counts, signals: Image, sums: Floats
+) -> None:
+    """Collect all that quality needs of a frame's pixels (pixel,), in one pass.
+
+    `camera`: counts without light beyond the dark, and the curve of `Linearity`. Fills in the `counts` and `signals`,
+    counts above the dark, of the samples, and the `sums` over lenslets (2, lenslet): light, and what the gaps have
+    more than in the reference.
+    """
+    background, (square, cube, highest, end) = camera
+    for lenslet in range(sums.shape[1]):
+        pixel, found, signal = samples.pixel[lenslet], counts[lenslet], signals[lenslet]
+        good, gap = samples.good[lenslet], samples.gap[lenslet]
+        dark, expected = samples.dark[lenslet], samples.expected[lenslet]
+        for n in range(found.size):
+            found[n] = frame[np.uint32(pixel[n])]
+        total, more = np.float32(0), np.float32(0)
+        for n in range(found.size):  # in vectors, unlike the loop above
+            count = np.float32(found[n])
+            above = count - background - dark[n]
+            within = min(above, highest)
+            light = within * (np.float32(1) + within * (square + within * cube)) + (above - within) * end
+            total += good[n] * light
+            more += gap[n] * (count - expected[n])
+            signal[n] = above
+        sums[0, lenslet], sums[1, lenslet] = total, more
 
 
 _PILED_UP = 3.0  # times as many pixels within one scatter of the highest count as within the next one

@@ -24,7 +24,7 @@ from reconstruction.layers.layer_solver import (
 from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import Estimate
 from reconstruction.solve.expected_errors import ALIKE_IN_LAYERS, Whitened
-from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
+from reconstruction.solve.modal import Deviations, KeptSquares, KnownModes, ModalSolution, Spread, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
@@ -86,6 +86,7 @@ class _Equations(NamedTuple):
     singular: Floats  # (n,); 0 where the displacements show nothing
     vectors: Floats  # of the components, (n, n)
     known: KnownModes
+    spread: Spread  # of the wavefronts of the components
 
 
 class _Fit(NamedTuple):
@@ -110,6 +111,7 @@ class LayeredWavefronts:
         self._design = Remembered(self._prepared, 6)  # two layers need five for their error bars
         self._equations = Remembered(self._down_dated, 20)
         self._known = Remembered(self._known_at, 4)
+        self._kept: KeptSquares = []
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
@@ -123,14 +125,13 @@ class LayeredWavefronts:
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
         coefficients[1:][columns] = fit.wavefront
-        (design, singular, vectors, known), estimate = fit.equations, fit.estimate
+        (design, singular, _, known, spread), estimate = fit.equations, fit.estimate
 
-        def root_covariance() -> Image:
-            root = np.zeros((shape[0] - 1, shape[1], len(vectors) + len(sample.ratios)), np.float32)
-            deviations = vectors * np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
-            of_noise = design.wavefronts @ deviations.astype(np.float32)
-            root[columns] = np.concatenate([of_noise, self._of_distances(sample, frame)], axis=1)
-            return root
+        def deviations() -> Deviations:
+            deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
+            others = np.zeros((shape[0] - 1, shape[1], len(sample.ratios)), np.float32)
+            others[columns] = self._of_distances(sample, frame)
+            return Deviations(deviation.astype(np.float32), others)
 
         def fitted() -> Floats:
             whitened = (design.rows @ fit.polynomials).reshape(frame.weighted.shape)
@@ -139,7 +140,9 @@ class LayeredWavefronts:
         return ModalSolution(
             coefficients=coefficients,
             _known=known,
-            _root_covariance=Deferred(root_covariance),
+            _spread=Deferred(lambda: spread),
+            _deviations=Deferred(deviations),
+            noise=estimate.noise,
             freedom=estimate.freedom,
             _displacement=displacement,
             parameters=self._parameters,
@@ -157,7 +160,7 @@ class LayeredWavefronts:
     def _fit(self, ratios: tuple[float, ...], frame: Whitened) -> _Fit:
         """Fit layers to the displacements of a frame."""
         equations = self._equations(ratios, frame.share.tobytes())
-        design, singular, vectors, _ = equations
+        design, singular, vectors, *_ = equations
         estimate = along_principal(frame, frame.weighted.ravel() @ design.rows, singular, vectors).estimate()
         polynomials = (vectors @ estimate.values).astype(np.float32)
         return _Fit(equations, estimate, polynomials, design.wavefronts @ polynomials)
@@ -182,7 +185,10 @@ class LayeredWavefronts:
         gram = design.gram - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
         modes = self._modes.pupil_modes
         known = known_modes(modes, (share > 0).reshape(modes.inside.shape), extrapolate=True)
-        return _Equations(design, *principal(gram), known)
+        singular, vectors = principal(gram)
+        components = np.zeros((*self._modes.columns.shape, len(singular)), np.float32)
+        components[self._modes.columns] = design.wavefronts @ vectors.astype(np.float32)
+        return _Equations(design, singular, vectors, known, Spread(components, known, self._kept))
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""

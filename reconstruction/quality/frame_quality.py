@@ -20,16 +20,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Counts, Floats, Image
+from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.frame.linearity import LINEAR
 from reconstruction.frame.pixels import (
     BACKGROUND_PERCENT,
     CLIPPED,
+    COMPILED_COUNTS,
     TOO_BRIGHT,
     UNKNOWN_CAMERA,
     KnownCamera,
+    Samples,
     clipped_fraction,
+    collect,
 )
 from reconstruction.geometry import Sensor, lenslet_centers
 from reconstruction.modes.field_modes import PolynomialModes
@@ -37,7 +40,6 @@ from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.verdict import NO_FAULT, Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.runtime.compilation import compiled
 from reconstruction.settings import RegistrationSettings, Warp
 
 
@@ -123,7 +125,7 @@ class QualityChecker:
         self._stray = StrayLight(self._sensor, lit=self._lit, light=light, is_good=is_good)
         a_good_one = np.take_along_axis(pixel, np.argmax(is_good, axis=1)[:, None], axis=1)
         floats = (each.astype(np.float32) for each in (is_good, self._stray.gaps, dark, light + dark))
-        self._samples = _Samples(np.where(is_good, pixel, a_good_one), *floats)
+        self._samples = Samples(np.where(is_good, pixel, a_good_one), *floats)
         self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
 
     def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
@@ -204,13 +206,13 @@ class QualityChecker:
     def _collected(self, frame: Counts) -> tuple[Counts, float, Floats, Floats]:
         """Counts of the samples, the brightest signal, and sums over lit lenslets: light, and excess in the gaps."""
         pixels: NDArray[Any] = np.ascontiguousarray(frame).reshape(-1).view()
-        if pixels.dtype not in _COMPILED:  # the others are rare, and each would be compiled anew
+        if pixels.dtype not in COMPILED_COUNTS:  # the others are rare, and each would be compiled anew
             pixels = pixels.astype(np.float64)
         pixels.setflags(write=False)  # as frames are: so that one kind is compiled
         shape = self._samples.pixel.shape
         background = 0.0 if self._knows_dark else np.percentile(pixels[self._samples.pixel], BACKGROUND_PERCENT)
         counts, signals, sums = np.empty(shape, pixels.dtype), np.empty(shape, np.float32), np.empty((2, shape[0]))
-        _collect(pixels, self._samples, (np.float32(background), self._curve), counts, signals, sums)
+        collect(pixels, self._samples, (np.float32(background), self._curve), counts, signals, sums)
         return counts, float(signals.max(initial=-np.inf)), sums[0], sums[1]
 
     def _sizes_px(self, displacement: Displacement) -> tuple[float, float]:
@@ -242,48 +244,6 @@ class QualityChecker:
                 square += float(misfit @ misfit) - self._noise_slopes * free * float(np.mean(variance[tile][valid]))
                 freedom += free
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
-
-
-class _Samples(NamedTuple):
-    """Pixels that are looked at, each (lit lenslet, sample)."""
-
-    pixel: NDArray[np.int32]  # of the flattened frame; a good one of the lenslet in place of a bad one
-    good: Image  # 1, or 0 for those replaced
-    gap: Image  # 1 between the openings, else 0
-    dark: Image  # counts; 0 if unknown
-    expected: Image  # counts of the reference
-
-
-_COMPILED = {np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float64)}  # frames that `_collect` reads
-
-
-@compiled
-def _collect(
-    frame: Counts, samples: _Samples, camera: tuple[np.float32, Image], counts: Counts, signals: Image, sums: Floats
-) -> None:
-    """Collect all that quality needs of a frame's pixels (pixel,), in one pass.
-
-    `camera`: counts without light beyond the dark, and the curve of `Linearity`. Fills in the `counts` and `signals`,
-    counts above the dark, of the samples, and the `sums` over lenslets (2, lit lenslet): light, and what the gaps have
-    more than in the reference.
-    """
-    background, (square, cube, highest, end) = camera
-    for lenslet in range(sums.shape[1]):
-        pixel, found, signal = samples.pixel[lenslet], counts[lenslet], signals[lenslet]
-        good, gap = samples.good[lenslet], samples.gap[lenslet]
-        dark, expected = samples.dark[lenslet], samples.expected[lenslet]
-        for n in range(found.size):
-            found[n] = frame[np.uint32(pixel[n])]
-        total, more = np.float32(0), np.float32(0)
-        for n in range(found.size):  # in vectors, unlike the loop above
-            count = np.float32(found[n])
-            above = count - background - dark[n]
-            within = min(above, highest)
-            light = within * (np.float32(1) + within * (square + within * cube)) + (above - within) * end
-            total += good[n] * light
-            more += gap[n] * (count - expected[n])
-            signal[n] = above
-        sums[0, lenslet], sums[1, lenslet] = total, more
 
 
 _LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong grey values?"

@@ -1,7 +1,7 @@
 """A child process at low priority for long computations.
 
 There they take no turns at Python's lock with live frames. It ends as soon as its standard input closes, however its
-parent ends. Messages are pickled.
+parent ends. Messages are pickled, their arrays beside the rest: so they are not copied under Python's lock.
 """
 
 import os
@@ -12,10 +12,11 @@ import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from importlib import import_module
+from itertools import count
 from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
-from typing import IO, Any, TypeAlias, cast
+from typing import IO, Any, NamedTuple, TypeAlias, cast
 
 NICENESS = 10  # of what must not delay frames
 _ROOT = str(Path(__file__).resolve().parents[2])
@@ -23,6 +24,20 @@ _ROOT = str(Path(__file__).resolve().parents[2])
 
 Work: TypeAlias = Callable[[Iterator[Any], Callable[[object], None]], None]
 """A function of a module, `work(messages, answer)`."""
+
+
+class Pickled(NamedTuple):
+    """A pickled message."""
+
+    rest: bytes
+    arrays: list[memoryview]
+
+
+def pickled(message: object) -> Pickled:
+    """Pickle a message, whose arrays must not change until it is sent."""
+    buffers = list[pickle.PickleBuffer]()
+    rest = pickle.dumps(message, pickle.HIGHEST_PROTOCOL, buffer_callback=buffers.append)
+    return Pickled(rest, [buffer.raw() for buffer in buffers])
 
 
 class BackgroundProcess:
@@ -44,8 +59,11 @@ class BackgroundProcess:
         self._messages, self._answers = cast("IO[bytes]", self.process.stdin), cast("IO[bytes]", self.process.stdout)
 
     def send(self, message: object) -> None:
-        """Send a message; `OSError` if the process has ended."""
-        pickle.dump(message, self._messages, pickle.HIGHEST_PROTOCOL)
+        """Send a message, which may be pickled already; `OSError` if the process has ended."""
+        rest, arrays = message if isinstance(message, Pickled) else pickled(message)
+        pickle.dump((rest, [array.nbytes for array in arrays]), self._messages, pickle.HIGHEST_PROTOCOL)
+        for array in arrays:
+            self._messages.write(array)
         self._messages.flush()
 
     def receive(self) -> Any:
@@ -81,7 +99,11 @@ def _run(module: str, name: str) -> None:
         with os.fdopen(0, "rb", closefd=False) as messages:
             while True:
                 try:
-                    arrived.put(pickle.load(messages))  # noqa: S301 - our own parent wrote it
+                    rest, sizes = pickle.load(messages)  # noqa: S301 - our own parent wrote it
+                    arrays = [bytearray(size) for size in sizes]
+                    if any(messages.readinto(array) < len(array) for array in arrays):
+                        os._exit(0)
+                    arrived.put(pickle.loads(rest, buffers=arrays))  # noqa: S301 - our own parent wrote it
                 except (EOFError, pickle.UnpicklingError):  # closed, perhaps amid a message
                     os._exit(0)
                 except Exception:  # noqa: BLE001 - the parent would wait for an answer
@@ -93,5 +115,5 @@ def _run(module: str, name: str) -> None:
         answers.flush()
 
     Thread(target=read, daemon=True).start()
-    getattr(import_module(module), name)(iter(arrived.get, None), answer)
+    getattr(import_module(module), name)((arrived.get() for _ in count()), answer)
     os._exit(0)

@@ -18,7 +18,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -50,13 +50,62 @@ def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> Know
     return KnownModes(modes, used, values)
 
 
+_MOST_KEPT = 3e7  # squares; more take some hundred megabytes
+KeptSquares: TypeAlias = list[tuple[object, bytes, Image]]
+"""At most one: the key of a `Spread`, field modes, and the squares there."""
+
+
+class Spread:
+    """Independent components of a wavefront, each with a standard deviation that differs from frame to frame."""
+
+    def __init__(self, components: Image, known: KnownModes, kept: KeptSquares) -> None:
+        """`components` (pupil_mode - 1, field_mode, n), rad, where each deviates by 1.
+
+        `kept` holds the squares that were used last, and is shared by all of a solver.
+        """
+        self.components, self._known, self._kept = components, known, kept
+        self._key = object()  # not the spread, which refers to what is kept: Python seldom frees circles
+
+    def variance(self, field_modes: Floats, deviation: Image) -> Image:
+        """Variance of the wavefront, (position, known lenslet), rad^2, for deviations (n,) of the components.
+
+        `field_modes` (position, field_mode). Live frames ask for the same positions, the views, again and again.
+        """
+        squared, key = deviation**2, field_modes.tobytes()
+        if len(field_modes) * self._known.values.shape[1] * squared.size > _MOST_KEPT:
+            return np.stack([self._squares(at) @ squared for at in field_modes])
+        for of, at, squares in self._kept[:]:
+            if of is self._key and at == key:
+                return np.asarray(squares @ squared)
+        squares = np.stack([self._squares(at) for at in field_modes])
+        self._kept[:] = [(self._key, key, squares)]
+        return np.asarray(squares @ squared)
+
+    def _squares(self, field_modes: Floats) -> Image:
+        """Squares of what the components deviate at one position, (known lenslet, n)."""
+        values = self._known.values[: len(self.components)].T.astype(np.float32)
+        return np.asarray((values @ (field_modes.astype(np.float32) @ self.components)) ** 2)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_kept": []}
+
+
+class Deviations(NamedTuple):
+    """Standard deviations of one frame's components, and deviations beyond these."""
+
+    of_components: Image  # (n,)
+    others: Image  # rad, (pupil_mode - 1, field_mode, k)
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ModalSolution:
     """Dual-orthogonal coefficients of one wavefront; error bars are computed on request."""
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
     _known: KnownModes
-    _root_covariance: Deferred[Image]
+    _spread: Deferred[Spread]  # in the first pupil modes; the others are 0
+    _deviations: Deferred[Deviations]
+    noise: float  # variance of the displacements' errors over that of the expected ones
     freedom: float  # number of data minus that of the components which they determine
     _displacement: Displacement
     parameters: Floats  # of the lenslets' warps, (K, 2Q)
@@ -64,15 +113,9 @@ class ModalSolution:
 
     def extended(self, known: KnownModes) -> Self:
         """The same wavefront in more pupil modes, whose coefficients are 0; known at the same lenslets."""
-        more = len(known.modes.degree) - len(self.coefficients)
         coefficients = np.zeros((len(known.modes.degree), self.coefficients.shape[1]))
         coefficients[: len(self.coefficients)] = self.coefficients
-        return replace(
-            self,
-            coefficients=coefficients,
-            _known=known,
-            _root_covariance=Deferred(lambda: np.pad(self.root_covariance, ((0, more), (0, 0), (0, 0)))),
-        )
+        return replace(self, coefficients=coefficients, _known=known)
 
     @property
     def modes(self) -> PupilModes:
@@ -98,8 +141,13 @@ class ModalSolution:
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        flat = field_modes.reshape(-1, field_modes.shape[-1])
-        sigma = np.array([np.linalg.norm(self.deviations(at), axis=-1) for at in flat], np.float64)
+        flat, (deviation, others) = field_modes.reshape(-1, field_modes.shape[-1]), self._deviations()
+        variance = self._spread().variance(flat, deviation)
+        for other in np.moveaxis(others, -1, 0):
+            values = self._known.values[: len(other)].astype(np.float32)
+            variance = variance + (flat.astype(np.float32) @ other.T @ values) ** 2
+        sigma = np.full((len(flat), *self.known.shape), np.nan)
+        sigma[:, self.known] = np.sqrt(variance)
         return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
 
     def deviations(self, field_modes: Floats) -> Image:
@@ -151,10 +199,12 @@ class ModalSolution:
         with np.errstate(invalid="ignore", divide="ignore"):
             return float(np.sum(misfit**2 / variance) / self.freedom)
 
-    @property
+    @cached_property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
-        return self._root_covariance()
+        deviation, others = self._deviations()
+        root = np.concatenate([self._spread().components * deviation, others], axis=-1)
+        return np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
 
 
 PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
@@ -176,6 +226,7 @@ class _Equations:
     vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
     scaled: Image  # ((pupil_mode - 1) * field_mode, n)
     known: KnownModes
+    spread: Spread  # `scaled` at the known lenslets
 
 
 class ModalSolver:
@@ -223,6 +274,7 @@ class ModalSolver:
         across = np.concatenate([(some @ to_left).astype(np.float32) for some in rows])
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = Remembered(self._down_dated, 16)
+        self._kept: KeptSquares = []
         if not self._is_smooth:
             self._equations(self.errors.is_usable.astype(np.float64).tobytes())  # fails early
 
@@ -243,15 +295,16 @@ class ModalSolver:
             whitened = (self._singular * prepared).astype(np.float32) @ self._across
             return np.asarray(np.matvec(self.errors.colour, whitened.reshape(frame.weighted.shape)))
 
-        def root_covariance() -> Image:
+        def deviations() -> Deviations:
             deviation = np.sqrt(self.errors.variance(estimate, components.singular, ALIKE_IF_FREE))
-            root = equations.scaled * deviation.astype(np.float32)
-            return root.reshape(len(coefficients) - 1, coefficients.shape[1], -1)
+            return Deviations(deviation.astype(np.float32), np.empty((*coefficients[1:].shape, 0), np.float32))
 
         return ModalSolution(
             coefficients=coefficients,
             _known=equations.known,
-            _root_covariance=Deferred(root_covariance),
+            _spread=Deferred(lambda: equations.spread),
+            _deviations=Deferred(deviations),
+            noise=estimate.noise,
             freedom=estimate.freedom,
             _displacement=displacement,
             parameters=self._parameters,
@@ -294,7 +347,9 @@ class ModalSolver:
         known = known_modes(self._modes, used, extrapolate=self._is_smooth)
         if not self._is_smooth:
             self._require_distinct(known.values, scaled / singular)
-        return _Equations(singular, vectors, scaled.astype(np.float32), known)
+        components: Image = scaled.astype(np.float32)
+        spread = Spread(components.reshape(len(self._modes.degree) - 1, -1, len(singular)), known, self._kept)
+        return _Equations(singular, vectors, components, known, spread)
 
     def _seen(self, square: Floats, vectors: Floats) -> tuple[Floats, Floats]:
         """Singular values (n,) and vectors of the components that the displacements show.

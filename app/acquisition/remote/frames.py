@@ -29,7 +29,7 @@ from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal import KnownModes, ModalSolution, known_modes
+from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Spread, known_modes
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
@@ -184,10 +184,13 @@ def _with_wavefront(
     displacement = registered if bias is None else registered.minus(bias)
     solution: Solution
     if modes.pupil is not None and modes.parameters is not None:
+        known, root = _known(modes.pupil, arrays["known"].tobytes()), detail("root_covariance")
         solution = ModalSolution(
             coefficients=arrays["coefficients"],
-            _known=_known(modes.pupil, arrays["known"].tobytes()),
-            _root_covariance=detail("root_covariance"),
+            _known=known,
+            _spread=Deferred(lambda: Spread(root(), known, [])),
+            _deviations=Deferred(lambda: Deviations(np.ones(root().shape[2], np.float32), root()[..., :0])),
+            noise=facts.noise,
             freedom=facts.freedom,
             _displacement=displacement,
             parameters=modes.parameters,

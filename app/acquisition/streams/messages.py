@@ -89,6 +89,7 @@ class OwnFacts(NamedTuple):
     calibration: int | None  # number of the shared object
     modes: int | None  # number; None without a wavefront
     freedom: float  # of a modal wavefront
+    noise: float
     has_transmission: bool
 
 
@@ -106,7 +107,7 @@ def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_onl
     """Return the message for clients of the instrument: arrays of all topics, and the pixels."""
     calibration, wavefront, registered = measurement.calibration, measurement.wavefront, measurement.registered
     modes, labelled = None, list[Labelled]()
-    freedom, has_transmission = math.nan, False
+    freedom, noise, has_transmission = math.nan, math.nan, False
     if wavefront is not None and registered is not None:
         solution, modes = wavefront.solution, shared.modes_number(wavefront)
         has_transmission = registered.transmission_source is not None
@@ -116,7 +117,7 @@ def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_onl
             *((name, _LENSLET, "1", getattr(registered, name)) for name in OF_LENSLETS),
         ]
         if isinstance(solution, ModalSolution):
-            freedom = solution.freedom
+            freedom, noise = solution.freedom, solution.noise
             labelled.append(("coefficients", _MODES, "rad", solution.coefficients))
             labelled.append(("known", _LENSLET, "1", solution.known))
         elif solution.weights is not None:
@@ -127,6 +128,7 @@ def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_onl
         None if calibration is None else shared.number(calibration),
         modes,
         freedom,
+        noise,
         has_transmission,
     )
     return Message({"format": FORMAT, "value": facts}, labelled)

@@ -4,11 +4,13 @@ import math
 import time
 from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from app.cache import loading
 from app.gui.panels.panel import Check, DisplayState, Panel, Request
 from reconstruction.runtime.threads import one_blas_thread
 
@@ -61,7 +63,7 @@ class Analysis:
         """Compute on one core: waiting BLAS threads take five times as long beside a measurement."""
         begun_s = time.monotonic()
         try:
-            with one_blas_thread():
+            with one_blas_thread(), nullcontext() if self._taken_s else loading():  # the first may import packages
                 return request.compute(self._check)
         finally:
             self._taken_s = time.monotonic() - begun_s

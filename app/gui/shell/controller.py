@@ -10,11 +10,12 @@ from typing import Any, TypeVar
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
+from app.acquisition.address import CLOSING_S
 from app.acquisition.commands import Commands
-from app.acquisition.instrument import CLOSING_S, ProcessState, Status
+from app.acquisition.instrument import ProcessState, Status
 from app.acquisition.remote.connection import Connection
 from app.acquisition.remote.messages import watching
-from app.acquisition.remote.own_instrument import OwnConnection
+from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
@@ -153,15 +154,18 @@ class Controller(QObject):
         except RunError as error:  # no instrument to connect to: the one before, and its failure, stay
             self.messages.warn(str(error))
             return
-        if self.acquisition is not None:
-            self.acquisition.close()
+        before, self.acquisition = self.acquisition, made
+        is_first = before is None
+        if before is not None:
+            before.close()
         self.question_closed.emit()
-        self.acquisition = made
-        self.acquisition.start()
+        made.start()
         self.connected.emit()
         begin = self._access.begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
-        self._pending = [(future, None, None) for future in begin(self.acquisition)]
-        release_memory()  # of the one before
+        self._pending = [(future, None, None) for future in begin(made)]
+        if not is_first:
+            del before
+            release_memory()
 
     def close(self, meanwhile: Callable[[], object]) -> None:
         """Turn the light off at once, close the devices, and call `meanwhile` at 25 Hz until that is done.

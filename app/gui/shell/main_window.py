@@ -11,7 +11,8 @@ from PyQt6.QtCore import QEventLoop, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QApplication, QWidget
 
-from app.acquisition.instrument import CLOSING_S, Activity, Status
+from app.acquisition.address import CLOSING_S
+from app.acquisition.instrument import Activity, Status
 from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition

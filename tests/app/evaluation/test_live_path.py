@@ -16,7 +16,8 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
 
 from app.acquisition.address import Address
-from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
+from app.acquisition.remote.own_connection import OwnConnection
+from app.acquisition.remote.own_instrument import OwnInstrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import benchmark_acquisition, print_figures

@@ -13,7 +13,7 @@ from support.patience import HANG_S, own_time
 from support.served import connected, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
-from app.acquisition.instrument import CLOSING_S
+from app.acquisition.address import CLOSING_S
 from app.acquisition.remote.connection import Connection, reach
 from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition

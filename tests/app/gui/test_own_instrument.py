@@ -19,7 +19,8 @@ from support.window_tools import choose_button, said_in
 
 from app.acquisition.address import NAME, file_of, is_taken
 from app.acquisition.remote.connection import Connection, reach
-from app.acquisition.remote.own_instrument import OwnConnection, OwnInstrument
+from app.acquisition.remote.own_connection import OwnConnection
+from app.acquisition.remote.own_instrument import OwnInstrument
 from app.bench.config import Bench, load_bench, save_bench
 from app.gui.shell.main_window import MainWindow
 

@@ -95,7 +95,7 @@ def test_samples_within_their_errors_are_alike(
     def sample(ratios: tuple[float, ...]) -> AssumedSample:
         return AssumedSample(ratios, np.diag(np.full(len(ratios), 0.005**2)))
 
-    assert are_alike(sample(found), sample(before)) == alike
+    assert are_alike(sample(found), sample(before), 3.0) == alike
 
 
 @pytest.fixture

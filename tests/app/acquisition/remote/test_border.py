@@ -187,7 +187,7 @@ def test_frame_arrives_as_the_instrument_has_it(
 def assert_same_wavefronts(found: Wavefront, sent: Wavefront) -> None:
     np.testing.assert_array_equal(found.views, sent.views)
     assert 0 < np.isfinite(found.views).sum() < found.views.size
-    np.testing.assert_array_equal(found.sigma(), sent.sigma())
+    np.testing.assert_allclose(found.sigma(), sent.sigma(), rtol=1e-5)  # in single precision, added in another order
     at = np.array([-2e-4, 1.5e-4]), np.array([1e-4, 3e-4])
     np.testing.assert_array_equal(found.at(*at), sent.at(*at))
     assert found.sample.ratios == sent.sample.ratios

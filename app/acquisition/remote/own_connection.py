@@ -1,0 +1,92 @@
+"""The connection to the instrument of this window: closing it ends the instrument, unless its user lets it go on."""
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from app.acquisition.address import Address, is_taken
+from app.acquisition.remote.connection import Connection
+from app.bench.config import Bench
+from app.errors import RunError
+
+_LOOK_S = 0.05  # between two looks for an instrument that starts
+_STARTS_S = 60.0  # on a busy computer
+_ENDED_S = 0.5  # from the end of its connections to that of a process that crashes
+
+
+class OwnConnection(Connection):
+    """Ends the instrument when it is closed, unless that `goes_on` or another client controls it."""
+
+    def __init__(
+        self, bench: Bench, name: str, process: subprocess.Popen[bytes], *, log: Path, forget_bench: Callable[[], None]
+    ) -> None:
+        """Begin to connect to a process that has just been started, and prints into the file `log`.
+
+        `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
+        """
+        self.bench, self.process, self._log, self._forget_bench = bench, process, log, forget_bench
+        self._is_ending = self.goes_on = False
+        super().__init__("window", Address(name, process.pid, endpoint="", key=""))
+
+    @property
+    def is_alive(self) -> bool:
+        """True while the instrument runs and this connection is open, and until it has ended if it ends."""
+        return super().is_alive or (self._is_ending and self.process.poll() is None)
+
+    @property
+    def loss(self) -> str:
+        """As of any connection; the end that this one has asked for is none."""
+        return "" if self._is_ending else super().loss
+
+    def _reach(self) -> None:
+        until_s = time.monotonic() + _STARTS_S
+        while not self._is_announced():
+            if self._closing.is_set():
+                self.process.terminate()
+                return
+            if self.process.poll() is not None:
+                printed = self._log.read_text(errors="replace").strip().splitlines()
+                last = printed[-1].removeprefix("svwfs: ") if printed else "it said nothing"
+                raise RunError(f"the instrument's process has ended: {last}")
+            if time.monotonic() > until_s:
+                self.process.kill()
+                raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
+            time.sleep(_LOOK_S)
+        self._forget_bench()  # it was read; a window that is killed leaves none
+        self.address = Address.of(self.address.name)
+        super()._reach()
+
+    def _is_announced(self) -> bool:
+        """True if the process has the name; another one may have taken it."""
+        if not is_taken(self.address.name):
+            return False
+        # On Windows, the process of a virtual environment starts another one.
+        return sys.platform == "win32" or Address.of(self.address.name).process == self.process.pid
+
+    def _how_it_ended(self) -> str:
+        with suppress(subprocess.TimeoutExpired):
+            self.process.wait(_ENDED_S)
+        code = self.process.returncode
+        return super()._how_it_ended() if code is None or code >= 0 else f"was ended by {signal.Signals(-code).name}"
+
+    def begin_close(self) -> None:
+        """End the instrument, light first, or leave it."""
+        if not self._is_ending and self.process.poll() is None:
+            self.goes_on |= self.is_of_another
+            self._is_ending = not self.goes_on
+            if self._is_ending and super().is_alive:
+                self.end()
+            elif self._is_ending:  # only this end has failed
+                self.process.terminate()
+        super().begin_close()
+
+    def close(self, timeout_s: float | None = None) -> None:
+        """End or leave the instrument, and wait for that."""
+        super().close(timeout_s)
+        if self._is_ending:
+            with suppress(subprocess.TimeoutExpired):
+                self.process.wait(timeout_s)
