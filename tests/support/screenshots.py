@@ -94,8 +94,8 @@ class Photographer:
         window.panels.lenslet.inspect(7, 7)
         for name, panel in tabs(window).items():
             window.docks.show_panel(panel)
-            if panel.has_own_thread:
-                analysis = window.analyses.of[panel]
+            analysis = window.analyses.of[panel]
+            if panel.request() is not None:
                 self._wait(lambda analysis=analysis: analysis.request is not None and not analysis.is_busy)  # type: ignore[misc] # mypy and defaults
             self._save(name.lower(), window)
         wavefronts.menu.change(views=9)

@@ -57,7 +57,7 @@ Lenslet = tuple[int, int]  # row and column
 class CameraPanel(Panel):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
-    title, dock_area, has_own_thread = "Camera", "left", True
+    title, dock_area = "Camera", "left"
     lenslet_clicked = pyqtSignal(int, int)  # row and column
 
     def __init__(self, shown: DisplayState) -> None:
@@ -136,7 +136,7 @@ class CameraPanel(Panel):
         super().catch_up()
         self._show_overlay()
 
-    def show_liveness(self) -> None:
+    def _show_badge(self) -> None:
         shown = self.shown.data_freshness
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
@@ -232,6 +232,7 @@ class CameraPanel(Panel):
             self._view.setRange(self._image.boundingRect())
 
     def show_numbers(self) -> None:
+        self._show_badge()
         if self._frame is None:
             return
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM

@@ -26,7 +26,7 @@ _CORRECTORS = (
 class CorrectorPanel(Panel):
     """Asks for the residuals of a corrector while it is visible, and shows them."""
 
-    title, has_own_thread = "Corrector", True
+    title = "Corrector"
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)

@@ -103,7 +103,7 @@ class StripChart(QWidget):
 class HistoryPanel(Panel):
     """Charts of the chosen series."""
 
-    title, has_own_thread = "History", True
+    title = "History"
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)

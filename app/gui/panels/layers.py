@@ -38,7 +38,7 @@ _INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
 class LayersPanel(Panel):
     """Asks for layers while it is visible, and shows them."""
 
-    title, has_own_thread = "Layers", True
+    title = "Layers"
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)

@@ -86,7 +86,7 @@ class LensletPanel(Panel):
         """Forget the lenslet: the next bench may not have it."""
         self.select(None)
 
-    def show_liveness(self) -> None:
+    def show_numbers(self) -> None:
         shown = self.shown.data_freshness
         if shown.badge != self._badge:
             self._badge = shown.badge

@@ -99,7 +99,6 @@ class Panel(QWidget):
 
     title: ClassVar[str]
     dock_area: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
-    has_own_thread: ClassVar[bool] = False  # for results that take seconds, or that no other may delay
 
     warned = pyqtSignal(str)  # why something was not done
     informed = pyqtSignal(str)  # what was done
@@ -122,7 +121,6 @@ class Panel(QWidget):
     def catch_up(self) -> None:
         """Show what has changed while the panel was hidden."""
         self.show_numbers()
-        self.show_liveness()
 
     def menu_entries(self) -> Mapping[str, Entries]:
         """Return entries by the title of their menu."""
@@ -135,10 +133,7 @@ class Panel(QWidget):
         """Show the newest frame and its wavefront, up to 25 times a second."""
 
     def show_numbers(self) -> None:
-        """Show what changes too fast to be read otherwise, five times a second."""
-
-    def show_liveness(self) -> None:
-        """Show how the measurement differs from a live one."""
+        """Show what changes too fast to be read otherwise, and whether it is live, five times a second."""
 
     def show_nothing(self) -> None:
         """Clear what belongs to a wavefront: there is none."""

@@ -110,11 +110,6 @@ class WavefrontPanel(Panel):
         """Half width of PSF maps; None until the extent of the light is known."""
         return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
 
-    def show_liveness(self) -> None:
-        badge, reason, is_grey = self.shown.data_freshness
-        self.grid.show_stale(is_stale=is_grey)
-        self.stale.setText(f"{badge}: {reason}" if badge else "")
-
     def show_measurement(self, measurement: Measurement) -> None:
         self.show_wavefront(measurement.wavefront)
 
@@ -171,6 +166,9 @@ class WavefrontPanel(Panel):
         self.show_numbers()
 
     def show_numbers(self) -> None:
+        badge, reason, is_grey = self.shown.data_freshness
+        self.grid.show_stale(is_stale=is_grey)
+        self.stale.setText(f"{badge}: {reason}" if badge else "")
         numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
             self._summary.setText("")

@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterable
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor
 from contextlib import nullcontext
-from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -20,9 +19,9 @@ _SHARE = 0.15  # of a core, for each panel: the measurement needs the rest
 class Analysis:
     """Computes the requests of a panel one at a time, those of a running measurement at intervals."""
 
-    def __init__(self, thread: ThreadPoolExecutor, check: Check) -> None:
+    def __init__(self, check: Check) -> None:
         """`check` raises to end a computation."""
-        self.thread, self._check = thread, check
+        self.thread, self._check = ThreadPoolExecutor(1, thread_name_prefix="analysis"), check
         self.request: Request | None = None  # the last one
         self._result: Future[Any] | None = None  # until it is taken
         self._requested_s, self._taken_s = -math.inf, 0.0
@@ -70,16 +69,14 @@ class Analysis:
 
 
 class Analyses(QObject):
-    """Asks the panels what to compute; they share a thread unless they have their own."""
+    """Asks the panels what to compute, each on a thread of its own."""
 
     failed = pyqtSignal(str)
 
     def __init__(self, panels: Iterable[Panel], shown: DisplayState) -> None:
         super().__init__(shown)
         self._shown, self.is_closing = shown, False
-        thread = partial(ThreadPoolExecutor, 1, thread_name_prefix="analysis")
-        quick = thread()
-        self.of = {panel: Analysis(thread() if panel.has_own_thread else quick, self._check) for panel in panels}
+        self.of = {panel: Analysis(self._check) for panel in panels}
         shown.view_chosen.connect(self.poll)
 
     def poll(self) -> None:

@@ -15,23 +15,7 @@ from app.gui.widgets.copies import copy_text
 from app.gui.widgets.layouts import fill_dialog, row, within_screen
 from app.run_facts import machine_facts, versions
 
-_CONVENTIONS = """
-<h3>Axes and signs</h3>
-<p><b>+x</b> points to the right and <b>+y</b> down, in the camera image, in the field and in the pupil.
-Rows count along y, columns along x, both from 0.</p>
-<p>The wavefront is a phase in <b>radians</b>, without piston. Where it rises towards +x, the light
-moves towards <b>+x</b>: displacement&nbsp;=&nbsp;(f/k)&nbsp;d&phi;/dx.</p>
-<p>Displacements count from the <b>reference</b>, the frame without the sample.</p>
-<h3>Display</h3>
-<p>Each tile is the wavefront of one field position, one square for each lenslet.
-All tiles share one colour scale. <b>RMS</b> and <b>PV</b> count the valid lenslets.</p>
-<p>A lenslet that could not be measured is <b>hatched</b>, and crossed out in red on the camera image.</p>
-<p>The tiles can also show the point-spread function (<b>1</b> is the peak without aberration, the value in the
-middle is the Strehl ratio), the residual of the measured slopes, the standard deviation, and the transmission.
-A click or the arrow keys select the view whose MTF is plotted.</p>
-<p>Arrows show the displacement of each lenslet, averaged over the field and magnified as stated.</p>
-"""
-
+_CONVENTIONS = Path(__file__).parents[1] / "conventions.html"
 _SIZE_LINES = QSize(60, 46)  # of the help, in heights of a line
 PAPER = (
     'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
@@ -55,7 +39,7 @@ def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
     columns = "".join(f"<td>{''.join(tables[at::2])}</td>" for at in range(2))
     dialog = TextDialog("help", "Shortcuts and conventions", parent)
     dialog.view.setWordWrapMode(QTextOption.WrapMode.WordWrap)  # else it breaks within words
-    dialog.view.setHtml(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS}")
+    dialog.view.setHtml(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS.read_text('utf-8')}")
     dialog.resize(within_screen(parent, _SIZE_LINES * parent.fontMetrics().height()))
     dialog.show()
 

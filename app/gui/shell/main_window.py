@@ -1,15 +1,20 @@
 """The main window: lays out the panels and refreshes them from the acquisition at up to 25 Hz."""
 
+import sys
 import time
-from collections.abc import Callable, Mapping
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
+from datetime import datetime
 from functools import partial
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
-from PyQt6.QtCore import QEventLoop, QSettings, QSize, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QCloseEvent
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QCloseEvent, QDropEvent
+from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from app.acquisition.address import CLOSING_S
 from app.acquisition.instrument import Activity, Status
@@ -20,7 +25,6 @@ from app.bench.config import Bench
 from app.gui.panels.panel import DisplayState, Entries
 from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
-from app.gui.shell.base_window import BaseWindow
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide
 from app.gui.shell.controller import Controller, SettingsControl
@@ -30,26 +34,33 @@ from app.gui.shell.help import help_entries
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.light_control import LightControl
 from app.gui.shell.menus import fill_menus
+from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness, left_behind, light_when_closing, way_out
 from app.gui.widgets import theme
+from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import column
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
+from app.timing import Timings
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
-class MainWindow(BaseWindow):
-    """The window of `svwfs live`."""
+class MainWindow(QMainWindow):
+    """The window of `svwfs live`.
+
+    It takes the focus when it becomes active, and from a widget that is hidden or disabled. So every key is a shortcut
+    until a field is clicked; Qt would give it to the first button or field in the Tab order.
+    """
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
@@ -67,6 +78,13 @@ class MainWindow(BaseWindow):
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
         self._alarm_tracker = AlarmTracker()
+        self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
+        self._rests_until_s = 0.0  # after a slow redraw
+        self._known_errors: set[str] = set()  # that were shown since the alarm was dismissed, or a bench was opened
+        self.messages = MessageStrip()
+        self.messages.dismissed.connect(self._known_errors.clear)
+        self._screenshots = FileWork(self, self.messages.warn)
+        self.setAcceptDrops(True)
 
         self.shown = DisplayState(self)
         self.panels = make_panels(self.shown)
@@ -218,7 +236,7 @@ class MainWindow(BaseWindow):
             if (status := self.controller.status) is not None and not self.controller.left:
                 self.show_status(_ended(status))
             self.recording_bar.refresh()  # the recording has ended
-            self.known_errors.clear()
+            self._known_errors.clear()
             for panel in self.panels:
                 panel.forget_bench()
             self.analyses.forget_bench()
@@ -254,9 +272,9 @@ class MainWindow(BaseWindow):
             self.update_text()  # before the frame is drawn: if that fails, the text says so
         measurement, start_s = acquisition.newest, time.perf_counter()
         is_new = measurement is not self.shown.measurement and not self.isMinimized()
-        if measurement is not None and is_new and start_s > self.rests_until_s:
+        if measurement is not None and is_new and start_s > self._rests_until_s:
             self.show_measurement(measurement)
-            self.unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
+            self._unpainted = measurement, acquisition.timings, time.perf_counter() - start_s
         self.analyses.poll()
 
     def _show_changed(self, status: Status) -> None:
@@ -302,7 +320,6 @@ class MainWindow(BaseWindow):
         shown.problem = self._failure or self._activity.text or alarm
         for panel in self.panels:
             panel.show_numbers()
-            panel.show_liveness()
         self.recording_bar.refresh()
         self.status_line.update_text(status, self.controller.about_processes, trouble=self.controller.trouble)
         self.status_line.show_verdict(shown.verdict)
@@ -368,6 +385,68 @@ class MainWindow(BaseWindow):
         if not self.controller.ask_to_leave(close, self):
             self.light.ask_off(close)
 
+    def event(self, event: QEvent | None) -> bool:
+        """Take the focus when active, open what is dropped, and time the painting at UpdateRequest."""
+        if event is not None and event.type() == QEvent.Type.WindowActivate:
+            self.setFocus()
+        if isinstance(event, QDropEvent) and (paths := _paths(event.mimeData())):  # also its subclasses: enter, move
+            event.setDropAction(Qt.DropAction.CopyAction)  # after a move, the source may delete its file
+            event.accept()
+            for path in paths if event.type() == QEvent.Type.Drop else ():
+                self.open_file(path)
+            return True
+        if event is None or event.type() != QEvent.Type.UpdateRequest or self._unpainted is None:
+            return super().event(event)
+        (measurement, timings, seconds), self._unpainted = self._unpainted, None
+        start_s = time.perf_counter()
+        is_handled = super().event(event)  # paints the whole window
+        end_s = time.perf_counter()
+        took_s = seconds + end_s - start_s
+        self._rests_until_s = end_s + took_s - REFRESH_MS / 1e3  # for commands and the instrument
+        timings.note("draw", took_s)
+        timings.note("to_screen", end_s - measurement.exposure_end_s)
+        return is_handled
+
+    def save_screenshot(self) -> None:
+        """Save a picture of the window in the user's picture folder."""
+        folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
+        path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
+        write = partial(write_picture, path, self.grab().toImage())
+        self._screenshots.run(write, lambda _: self.messages.inform(f"saved {path}"), writes=str(path))
+
+    @contextmanager
+    def reported_errors(self) -> Iterator[None]:
+        """Show errors of timers and slots, after which Qt would abort with the light on, and print each once."""
+        before, known, alarm = sys.excepthook, self._known_errors, self.messages.alarm
+        # Each thread that is made meanwhile keeps `report`, which must not keep the window.
+
+        def report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+            if isinstance(error, Exception):
+                at = traceback.extract_tb(trace)[-1]
+                sentence = (
+                    f"the display failed ({type(error).__name__}: {error}; {Path(at.filename).name}:{at.lineno}), so"
+                    " that what you see may be old: open the bench again, and report this line of the log (Ctrl+L)"
+                )
+                if sentence in known:
+                    return
+                known.add(sentence)
+                alarm(sentence)
+            before(kind, error, trace)
+
+        sys.excepthook = report
+        try:
+            yield
+        finally:
+            sys.excepthook = before
+
+    def focusNextPrevChild(self, next: bool) -> bool:  # noqa: A002, N802 - Qt's names
+        """Move the focus as Tab does, unless its widget has just been hidden or disabled."""
+        focused = self.focusWidget()
+        if focused is not None and not (focused.isVisible() and focused.isEnabled()):
+            self.setFocus()
+            return True
+        return super().focusNextPrevChild(next)
+
     def _reconnect(self) -> None:
         if self.controller.failure:
             self.connect_devices()
@@ -380,3 +459,7 @@ class MainWindow(BaseWindow):
 def _ended(status: Status) -> Status:
     """Status of devices that are closed; a light without a driver stays as it is."""
     return replace(status, is_running=False, is_light_on=status.is_light_on and status.bench.has_manual_light)
+
+
+def _paths(data: QMimeData | None) -> list[Path]:
+    return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]

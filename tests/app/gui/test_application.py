@@ -110,7 +110,7 @@ def test_file_that_is_not_saved_when_the_window_closes_is_told(
 ) -> None:
     disk = threading.Event()
     monkeypatch.setattr("app.gui.widgets.file_work._CLOSING_S", 0.05)
-    monkeypatch.setattr("app.gui.shell.base_window.write_picture", lambda *_: disk.wait())
+    monkeypatch.setattr("app.gui.shell.main_window.write_picture", lambda *_: disk.wait())
 
     def open_first(window: MainWindow) -> None:
         window.save_screenshot()

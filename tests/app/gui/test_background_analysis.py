@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
@@ -21,8 +21,9 @@ from app.results.view_maps import Quantity, quantity_maps
 
 @pytest.fixture
 def analysis() -> Iterator[Analysis]:
-    with ThreadPoolExecutor(1) as thread:
-        yield Analysis(thread, lambda: None)
+    made = Analysis(lambda: None)
+    yield made
+    made.thread.shutdown()
 
 
 def request(quantity: Quantity) -> Request:
