@@ -35,7 +35,7 @@ from drivers.interface import Range
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
 _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
-_DISK_INTERVAL_S = 2.0  # between two queries of the free disk space
+_DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _FOLDER = "folders/recordings"  # key of the saved state
 
@@ -233,7 +233,7 @@ class RecordingBar(QFrame):
                     self._finish(ended)
 
     def _query_disk(self, acquisition: RunningInstrument) -> None:
-        """Ask for the free disk space every two seconds."""
+        """Ask for the free disk space every five seconds."""
         if self._asked_disk is not None and self._asked_disk.done():
             is_unknown = self._asked_disk.exception() is not None  # the start of a recording reports it
             self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
