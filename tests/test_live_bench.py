@@ -127,7 +127,7 @@ def test_light_that_cannot_be_switched_off_is_reported_on_leaving(cause: Excepti
     def run() -> None:
         with svwfs.live(bench, average=2) as live:
             assert isinstance(live._acquisition, Acquisition)
-            live._result(live._acquisition.submit(lambda instrument: _spoil(instrument.devices.light, fail)))
+            live._result(live._acquisition.commands.submit(lambda instrument: _spoil(instrument.devices.light, fail)))
             if cause is not None:
                 raise cause
 

@@ -15,7 +15,7 @@ from app.acquisition.address import NAME
 from app.acquisition.instrument import Status
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, HeadlessRun, knows_sample, start_up, without_sample
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError
@@ -280,7 +280,6 @@ class LiveBench:
         acquisition, status = self._acquisition, self._status()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
-        run = HeadlessRun(acquisition, self._progress)
         is_played = self._bench.is_recording  # each of its frames counts
         if not status.is_running and (is_played or not status.has_background_estimator):
             self._result(begin())
@@ -288,14 +287,14 @@ class LiveBench:
         else:
             self._start_camera()
             text = "finding layers and correction with the first frames"
-            self._follow(run.until(lambda: knows_sample(acquisition) or not acquisition.is_alive, text=text))
+            self._wait(lambda: knows_sample(acquisition) or not acquisition.is_alive, text)
             self._result(begin())
 
         def fraction() -> float:
             return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
 
         try:
-            self._follow(run.until(run.is_recorded, text=f"recording {counted(frames)}", fraction=fraction))
+            self._wait(self._is_recorded, f"recording {counted(frames)}", fraction)
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
             self._let_finish()
@@ -305,26 +304,26 @@ class LiveBench:
             raise RunError(state.problem)
         return Path(folder)
 
+    def _is_recorded(self) -> bool:
+        state = self._acquisition.recording
+        return state is None or state.is_over
+
     def _let_finish(self) -> None:
         """Wait for the end of a recording that was stopped early."""
         ends_s = time.monotonic() + _FINISH_S
-        while time.monotonic() < ends_s and self._acquisition.is_alive:
-            if (state := self._acquisition.recording) is None or state.is_over:
-                break
+        while time.monotonic() < ends_s and self._acquisition.is_alive and not self._is_recorded():
             time.sleep(_WAIT_S)
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.set_running(True))
 
-    def _follow(self, steps: Iterator[None]) -> None:
-        """Make all steps; raise the error that ended the acquisition rather than one of theirs."""
-        try:
-            for _ in steps:
-                with self._arrived:
-                    self._arrived.wait(_WAIT_S)
-        except Exception:
+    def _wait(self, is_over: Callable[[], bool], text: str, fraction: Callable[[], float] = lambda: 0.0) -> None:
+        """Wait, a `fraction` of it done, until it is over; raise the error that ended the acquisition."""
+        while not is_over():
             self._raise_failure()
-            raise
+            self._progress(text, fraction())
+            with self._arrived:
+                self._arrived.wait(_WAIT_S)
 
     def _status(self) -> Status:
         """The status, after a command at least."""

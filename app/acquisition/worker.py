@@ -9,11 +9,11 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future, wait
-from contextlib import AbstractContextManager, closing, suppress
+from contextlib import closing, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Concatenate, ParamSpec, TypeVar
+from typing import ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
@@ -93,19 +93,6 @@ class Acquisition(Commands):
         """Open the devices and begin to execute commands."""
         self._thread.start()
 
-    def submit(
-        self, request: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
-    ) -> Future[T]:
-        """Execute any request of the instrument between two frames.
-
-        The future resolves after `status` is updated. A routine shows its progress as `activity`.
-        """
-        return self.commands.submit(request, *arguments, **named)
-
-    def holding_commands(self) -> AbstractContextManager[object]:
-        """Begin no command within a `with` block: one of those that are sent in it may switch the light off."""
-        return self.commands.beginning
-
     def stage_times(self) -> Future[dict[TimedStage, StageTimes]]:
         """Find the statistics of the times of all stages; that takes milliseconds."""
         return run_in_thread(self.timings.summary, "stage times")[0]
@@ -150,7 +137,7 @@ class Acquisition(Commands):
             instrument.devices.camera.stop()
             self._path.process_single(frame, instrument, self._light_state(), file)
 
-        return self.submit(command)
+        return self.commands.submit(command)
 
     def limit_recording(self, limit: RecordingLimit) -> Future[None]:
         """Replace the limit of the current recording, if any, and of one that waits for its start."""

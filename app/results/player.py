@@ -120,7 +120,7 @@ class Player:
         return recorded if self._change is None else self._change(recorded)
 
     def _use(self, acquisition: Acquisition, number: int) -> Future[None]:
-        return acquisition.submit(self._set, number)
+        return acquisition.commands.submit(self._set, number)
 
     def _set(self, instrument: Instrument, number: int) -> None:
         if self._camera is not None:

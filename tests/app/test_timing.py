@@ -89,7 +89,7 @@ def test_every_stage_of_the_worker_is_timed(monkeypatch: pytest.MonkeyPatch, sma
     for step in start_up(acquisition, 3):
         step.result(HANG_S)
     while acquisition.is_alive and acquisition.timings.summary()["publish"].count < 5:
-        acquisition.submit(lambda _: None).result(HANG_S)
+        acquisition.commands.submit(lambda _: None).result(HANG_S)
     acquisition.close()
     summary = acquisition.timings.summary()
     for stage in ("wait", "copy", "register", "reconstruct", "publish", "to_result"):

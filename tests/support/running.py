@@ -47,7 +47,7 @@ class Running:
 
     def end(self) -> None:
         """Stop the camera, or a last frame may be taken in the dark, and close."""
-        self.acquisition.submit(lambda instrument: instrument.devices.camera.stop()).result(HANG_S)
+        self.acquisition.commands.submit(lambda instrument: instrument.devices.camera.stop()).result(HANG_S)
         self.acquisition.close()
 
 

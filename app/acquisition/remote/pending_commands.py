@@ -31,8 +31,7 @@ class PendingCommands:
         self._notify, self._loss, self._is_closed = notify, loss, False
         self._numbers, self._lock = itertools.count(1), threading.Lock()
         self._waiting: list[Command] = []
-        self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when the command was sent
-        self._accepted: set[int] = set()
+        self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time until which it must be accepted
 
     def submit(
         self, command: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
@@ -69,18 +68,20 @@ class PendingCommands:
         with self._lock:
             taken, self._waiting = self._waiting, []
             for command in taken:
-                if command.number in self._unanswered:
-                    self._unanswered[command.number] = self._unanswered[command.number][0], now_s
+                self._expect(command.number, now_s + ANSWER_S)
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
         return [encoded(replace(command, until_s=until_s)).message() for command in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""
-        self._accepted.add(number)
+        self._expect(number, math.inf)
+
+    def _expect(self, number: int, until_s: float) -> None:
+        if number in self._unanswered:
+            self._unanswered[number] = self._unanswered[number][0], until_s
 
     def note_answer(self, answer: Answer) -> None:
         """Resolve the future of a command."""
-        self._accepted.discard(answer.number)
         future, _ = self._unanswered.pop(answer.number, (None, 0.0))
         if future is not None and answer.error is None:
             future.set_result(answer.result)
@@ -89,8 +90,8 @@ class PendingCommands:
 
     def give_up_lost(self) -> None:
         """Fail the commands that have not been accepted in time."""
-        for number, (future, sent_s) in list(self._unanswered.items()):
-            if number not in self._accepted and time.monotonic() > sent_s + ANSWER_S:
+        for number, (future, until_s) in list(self._unanswered.items()):
+            if time.monotonic() > until_s:
                 del self._unanswered[number]
                 future.set_exception(RunError("the instrument does not answer"))
 

@@ -41,7 +41,9 @@ def test_live_wavefronts_match_truth_without_loss() -> None:
         wait_until(lambda: knows_sample(acquisition))
         begin = acquisition.counts.acquired
         wait_until(lambda: acquisition.counts.acquired >= begin + FRAMES)
-        newest = acquisition.submit(lambda instrument: _with_states(instrument, measurements[-FRAMES:])).result(HANG_S)
+        newest = acquisition.commands.submit(
+            lambda instrument: _with_states(instrument, measurements[-FRAMES:])
+        ).result(HANG_S)
     finally:
         acquisition.close()
     assert acquisition.failure == ""

@@ -29,7 +29,7 @@ def camera() -> FakeCamera:
 def acquisition(camera: FakeCamera) -> Iterator[Acquisition]:
     acquisition = Acquisition(BENCH, opener(camera))
     acquisition.start()
-    acquisition.submit(_turn_on).result(HANG_S)
+    acquisition.commands.submit(_turn_on).result(HANG_S)
     yield acquisition
     acquisition.close()
 
@@ -40,7 +40,7 @@ def _turn_on(instrument: Instrument) -> None:
 
 def test_light_goes_off_within_its_time_while_the_worker_is_busy(acquisition: Acquisition, camera: FakeCamera) -> None:
     release = threading.Event()
-    busy = acquisition.submit(lambda _: release.wait())
+    busy = acquisition.commands.submit(lambda _: release.wait())
     with own_time() as elapsed_s:
         acquisition.switch_light_off().result(HANG_S)
         assert elapsed_s() < 0.3
@@ -60,7 +60,7 @@ def test_light_that_does_not_answer_is_shown_while_the_worker_waits(
 
 def test_commands_sent_before_cannot_switch_on_again(acquisition: Acquisition, camera: FakeCamera) -> None:
     release = threading.Event()
-    acquisition.submit(lambda _: release.wait())
+    acquisition.commands.submit(lambda _: release.wait())
     before = acquisition.set_light_on(True)
     acquisition.switch_light_off().result(HANG_S)
     after = acquisition.set_light_on(True)
@@ -85,7 +85,7 @@ def test_light_is_not_lit_if_switched_off_while_it_lights_up(acquisition: Acquis
     camera.light._sleep = sleep
     camera.light._current = 1.0
     with pytest.raises(LightHeldOff):
-        acquisition.submit(_turn_on).result(HANG_S)
+        acquisition.commands.submit(_turn_on).result(HANG_S)
     assert len(steps) == 2
     assert camera.light.current_a == 1.0  # as set before
     wait_until(lambda: not camera.light.shines)
@@ -103,11 +103,11 @@ def test_light_that_goes_off_in_a_routine_is_lit_by_no_command_sent_before(
         camera.light._note_went_off("the light went off")
         return go_on(*arguments, **named)
 
-    acquisition.submit(lambda instrument: instrument.devices.stage.set_sample_in(True)).result(HANG_S)
+    acquisition.commands.submit(lambda instrument: instrument.devices.stage.set_sample_in(True)).result(HANG_S)
     release = threading.Event()
-    acquisition.submit(lambda _: release.wait())
+    acquisition.commands.submit(lambda _: release.wait())
     reference = acquisition.take_reference(2)
-    next_command = acquisition.submit(_turn_on)
+    next_command = acquisition.commands.submit(_turn_on)
     monkeypatch.setattr(device, method, freeze)
     release.set()
     with pytest.raises((RoutineError, LightHeldOff), match=r"the light went off: switch it on \(L\) and repeat"):
@@ -118,7 +118,7 @@ def test_light_that_goes_off_in_a_routine_is_lit_by_no_command_sent_before(
     assert camera.light.log.lightings == 1
     assert acquisition.status is not None
     assert acquisition.status.reference.doubt.startswith("no reference yet")
-    acquisition.submit(_turn_on).result(HANG_S)
+    acquisition.commands.submit(_turn_on).result(HANG_S)
     assert camera.light.shines
 
 
@@ -192,7 +192,7 @@ def test_of_the_commands_that_a_server_reads_together_none_lights_before_off(
 
 def test_closing_turns_the_light_off_before_the_worker_ends(acquisition: Acquisition, camera: FakeCamera) -> None:
     release = threading.Event()
-    acquisition.submit(lambda _: release.wait())
+    acquisition.commands.submit(lambda _: release.wait())
     acquisition.begin_close()
     wait_until(lambda: not camera.light.shines)
     assert acquisition.is_alive

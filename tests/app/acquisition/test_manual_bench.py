@@ -162,14 +162,17 @@ def test_window_starts_without_reference(camera: FakeCamera) -> None:
     acquisition.start()
     for step in start_up(acquisition, frames=3):
         step.result(HANG_S)
-    assert acquisition.submit(lambda instrument: instrument.status()).result(HANG_S).reference.validity == "missing"
+    assert (
+        acquisition.commands.submit(lambda instrument: instrument.status()).result(HANG_S).reference.validity
+        == "missing"
+    )
     assert camera.is_running
-    assert acquisition.submit(lambda instrument: instrument.darks.average is not None).result(HANG_S)
-    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(HANG_S)
+    assert acquisition.commands.submit(lambda instrument: instrument.darks.average is not None).result(HANG_S)
+    acquisition.commands.submit(lambda instrument: instrument.devices.stage.note_sample(True)).result(HANG_S)
     with pytest.raises(WrongState, match="take the sample out"):
         acquisition.take_reference(3).result(HANG_S)
     assert acquisition.is_alive
-    acquisition.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(HANG_S)
+    acquisition.commands.submit(lambda instrument: instrument.devices.stage.note_sample(False)).result(HANG_S)
     acquisition.take_reference(3).result(HANG_S)
     acquisition.close()
     assert acquisition.error is None

@@ -122,7 +122,7 @@ def test_silence_of_the_worker_switches_the_light_off_and_the_status_says_so(ben
         instrument.devices.light.keep_alive(0.3)
         wait_until(lambda: not lamp.is_lit)
 
-    acquisition.submit(hang).result(HANG_S)
+    acquisition.commands.submit(hang).result(HANG_S)
     why = "the light went off because the acquisition gave no sign of life for 0.3 s"
     wait_until(lambda: acquisition.status is not None and acquisition.status.warning == why)
     assert acquisition.status is not None
@@ -166,7 +166,7 @@ def test_unplugged_light_ends_measuring(bench: Bench, port: PtyServer, exposure_
     """Also during a long exposure."""
     slow = parse_bench(write_bench(bench), "real.toml", ("camera.readout_speed=2", "camera.exposure_s=0.03"))
     acquisition = started(slow)
-    exposure = acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(exposure_s))
+    exposure = acquisition.commands.submit(lambda instrument: instrument.devices.camera.set_exposure(exposure_s))
     assert exposure.result(HANG_S) == pytest.approx(exposure_s, rel=0.01)
     with own_time() as elapsed_s:
         port.unplug()

@@ -96,7 +96,7 @@ def acquisition() -> Iterator[Acquisition]:
 def busy(acquisition: Acquisition) -> Iterator[None]:
     """Let commands wait until the end of the block."""
     is_free = threading.Event()
-    waiting = acquisition.submit(lambda _: is_free.wait(HANG_S))
+    waiting = acquisition.commands.submit(lambda _: is_free.wait(HANG_S))
     yield
     is_free.set()
     assert waiting.result(HANG_S)
@@ -135,9 +135,9 @@ def test_recorded_frames_are_reproduced(make_live: Callable[..., Live], tmp_path
     live.until_refined()
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
     wait_until(lambda: live.recording.frames > 10)
-    live.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
+    live.acquisition.commands.submit(lambda instrument: instrument.devices.light.set_current(0.3)).result(HANG_S)
     old = live.measurements[-1].calibration
-    live.acquisition.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
+    live.acquisition.commands.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
     wait_until(lambda: live.measurements[-1].calibration not in {None, old})
     live.until_refined()
     frames = live.recording.frames
@@ -182,7 +182,7 @@ def test_gaps_and_skipped_frames_are_recorded(
 ) -> None:
     live = make_live("camera.exposure_s=0.0139")
     live.acquisition.start_recording(tmp_path / "r").result(HANG_S)
-    live.acquisition.submit(lambda _: lose_frames(live.camera, 5)).result(HANG_S)  # not while a frame is read
+    live.acquisition.commands.submit(lambda _: lose_frames(live.camera, 5)).result(HANG_S)  # not while a frame is read
     wait_until(lambda: live.recording.frames > 5)
     fast = len(live.measurements)
     measure_slowly(monkeypatch)

@@ -36,11 +36,11 @@ class Live:
         return self.devices
 
     def do(self, command: Callable[[Instrument], object]) -> None:
-        self.acquisition.submit(command).result(HANG_S)
+        self.acquisition.commands.submit(command).result(HANG_S)
 
     @property
     def status(self) -> Status:
-        return self.acquisition.submit(lambda instrument: instrument.status()).result(HANG_S)
+        return self.acquisition.commands.submit(lambda instrument: instrument.status()).result(HANG_S)
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_calibration_auto_exposes_before_dark_and_reference(live: Live, monkeypa
     assert with_sample == [False]
     assert (status.warning, status.dark.validity, status.reference.validity) == ("", "good", "good")
     assert (status.is_light_on, status.is_sample_in, status.is_running) == (True, True, False)  # as before
-    reference = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
+    reference = live.acquisition.commands.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert reference is not None
     assert np.percentile(reference.mean, 99.5) / 65535 == pytest.approx(0.68, abs=0.08)
 
@@ -173,7 +173,7 @@ def test_changes_make_dark_and_reference_stale(
 @pytest.mark.long
 def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     started(live)
-    first = live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S)
+    first = live.acquisition.commands.submit(lambda instrument: instrument.references.average).result(HANG_S)
     assert first is not None
     live.do(lambda instrument: instrument.change_settings((), "circle"))
     assert live.status.reference.validity == "doubtful"  # none yet: that of the square stays in use
@@ -182,7 +182,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     live.do(lambda instrument: instrument.change_settings((), "square"))
     assert live.status.warning == ""
     assert "mask square" in live.status.reference.note
-    assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
+    assert live.acquisition.commands.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
     whole = live.status.area
     live.acquisition.set_area(SensorArea(Region(0, 0, 168, 240), 1)).result(HANG_S)
     live.acquisition.take_dark(2).result(HANG_S)
@@ -190,7 +190,7 @@ def test_each_mask_and_region_keeps_its_reference(live: Live) -> None:
     assert live.status.warning == ""
     live.acquisition.set_area(whole).result(HANG_S)
     assert live.status.warning == ""
-    assert live.acquisition.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
+    assert live.acquisition.commands.submit(lambda instrument: instrument.references.average).result(HANG_S) is first
     assert "4 frames" in live.status.dark.note
 
 
@@ -205,12 +205,12 @@ def test_refused_mask_leaves_the_settings(live: Live) -> None:
 
 def test_recorded_dark_and_reference_are_used(live: Live) -> None:
     started(live)
-    kept = live.acquisition.submit(lambda instrument: instrument.calibration).result(HANG_S)
+    kept = live.acquisition.commands.submit(lambda instrument: instrument.calibration).result(HANG_S)
     assert kept is not None
     assert kept.dark is not None
     recorded = replace(kept, dark=replace(kept.dark, frames=7), reference=replace(kept.reference, frames=9))
     live.acquisition.use(recorded).result(HANG_S)
-    used = live.acquisition.submit(lambda instrument: instrument.calibration).result(HANG_S)
+    used = live.acquisition.commands.submit(lambda instrument: instrument.calibration).result(HANG_S)
     assert used is not None
     assert (used.dark, used.reference) == (recorded.dark, recorded.reference)
     assert [live.status.dark.note, live.status.reference.note] == ["as recorded"] * 2

@@ -84,7 +84,7 @@ def test_slow_skipping_still_measures_and_stops(quick_toml: Path, monkeypatch: p
         wait_until(lambda: running.measurements[-1].problem == SKIPPED)
         first = running.acquisition.counts.reconstructed
         wait_until(lambda: running.acquisition.counts.reconstructed >= first + 2)
-        assert running.acquisition.submit(is_dark).result(HANG_S) is False
+        assert running.acquisition.commands.submit(is_dark).result(HANG_S) is False
     finally:
         running.acquisition.close(HANG_S)
     assert not running.acquisition.is_alive

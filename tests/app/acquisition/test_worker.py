@@ -49,7 +49,7 @@ def test_every_step_of_a_routine_is_a_sign_of_life(running: Running, monkeypatch
 
 def test_command_runs_between_frames_and_returns_result(running: Running) -> None:
     running.begin()
-    setting = running.acquisition.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004))
+    setting = running.acquisition.commands.submit(lambda instrument: instrument.devices.camera.set_exposure(0.040004))
     set_to = setting.result(HANG_S)
     assert set_to == pytest.approx(0.04)
     assert running.acquisition.status is not None
@@ -69,13 +69,13 @@ def test_cancelled_routine_restores_devices(running: Running) -> None:
     running.acquisition.cancel()
     with pytest.raises(Cancelled):
         long.result(HANG_S)
-    assert not running.acquisition.submit(is_dark).result(HANG_S)
+    assert not running.acquisition.commands.submit(is_dark).result(HANG_S)
     assert running.acquisition.activity.text == ""
 
 
 def test_darkis_dark_and_reference_lit(running: Running) -> None:
     running.begin()
-    averages = running.acquisition.submit(
+    averages = running.acquisition.commands.submit(
         lambda instrument: (instrument.darks.average, instrument.references.average)
     ).result(HANG_S)
     dark, reference = averages
@@ -89,8 +89,8 @@ def test_darkis_dark_and_reference_lit(running: Running) -> None:
 def test_stop_interrupts_long_exposure(quick_toml: Path) -> None:
     running = Running(load_bench(quick_toml, ("camera.readout_speed=2", "camera.exposure_s=30.0")))
     running.acquisition.start()
-    running.acquisition.submit(lambda instrument: instrument.devices.light.set_on(True)).result(HANG_S)
-    running.acquisition.submit(lambda instrument: instrument.devices.camera.start()).result(HANG_S)
+    running.acquisition.commands.submit(lambda instrument: instrument.devices.light.set_on(True)).result(HANG_S)
+    running.acquisition.commands.submit(lambda instrument: instrument.devices.camera.start()).result(HANG_S)
     time.sleep(0.2)
     with own_time() as elapsed_s:
         running.acquisition.close()
@@ -102,9 +102,9 @@ def test_stop_interrupts_long_exposure(quick_toml: Path) -> None:
 
 def test_saturated_frame_keeps_loop_running(running: Running) -> None:
     running.begin()
-    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(400.0)).result(HANG_S)
+    running.acquisition.commands.submit(lambda instrument: instrument.devices.camera.set_em_gain(400.0)).result(HANG_S)
     wait_until(lambda: "saturated" in running.measurements[-1].problem)
-    running.acquisition.submit(lambda instrument: instrument.devices.camera.set_em_gain(8.0)).result(HANG_S)
+    running.acquisition.commands.submit(lambda instrument: instrument.devices.camera.set_em_gain(8.0)).result(HANG_S)
     wait_until(lambda: running.measurements[-1].wavefront is not None)
 
 
@@ -131,7 +131,7 @@ def test_reference_clipped_by_the_full_well_is_doubtful(quick_toml: Path) -> Non
 
 def test_reference_without_light_is_a_warning(running: Running) -> None:
     running.begin()
-    running.acquisition.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
+    running.acquisition.commands.submit(lambda instrument: instrument.devices.light.set_current(0.0)).result(HANG_S)
     running.acquisition.take_reference(2).result(HANG_S)
     assert running.acquisition.status is not None
     assert "no light" in running.acquisition.status.warning
@@ -141,7 +141,9 @@ def test_reference_without_light_is_a_warning(running: Running) -> None:
 
 def test_lost_frames_are_counted(running: Running) -> None:
     running.begin()
-    running.acquisition.submit(lambda _: lose_frames(running.camera, 5)).result(HANG_S)  # not while a frame is read
+    running.acquisition.commands.submit(lambda _: lose_frames(running.camera, 5)).result(
+        HANG_S
+    )  # not while a frame is read
     wait_until(lambda: running.measurements[-1].counts.lost >= 5)  # a busy computer loses more
     last = running.measurements[-1]
     assert last.counts.acquired + last.counts.lost == last.frame.index + 1
@@ -157,7 +159,7 @@ def test_unplugged_camera_ends_loop_with_light_off(running: Running) -> None:
     with pytest.raises(WrongState):
         _ = running.devices.light.is_on
     with pytest.raises(WrongState, match="camera"):  # a later command does not wait forever
-        running.acquisition.submit(is_dark).result(HANG_S)
+        running.acquisition.commands.submit(is_dark).result(HANG_S)
 
 
 @pytest.mark.slow
@@ -191,7 +193,7 @@ def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
     running = Running(load_bench(quick_toml))
     try:
         running.begin()
-        instrument = running.acquisition.submit(lambda each: each).result(HANG_S)
+        instrument = running.acquisition.commands.submit(lambda each: each).result(HANG_S)
         wait_until(lambda: running.newest.wavefront is not None)
         frame = running.newest.frame
         assert not running.newest.quality.reasons
@@ -211,7 +213,7 @@ def test_camera_that_repeats_a_frame_is_reported(quick_toml: Path) -> None:
             instrument.skip(skipped)
             return [*made, instrument.measure(again)]
 
-        _, frozen, back, after_skipped = running.acquisition.submit(repeat).result(HANG_S)
+        _, frozen, back, after_skipped = running.acquisition.commands.submit(repeat).result(HANG_S)
     finally:
         running.acquisition.close()
     assert frozen.quality.faults == after_skipped.quality.faults == Fault.FROZEN

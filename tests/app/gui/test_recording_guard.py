@@ -84,7 +84,7 @@ def test_second_request_ends_a_recording_that_has_not_begun(
     window, _ = live
     window.recording_bar.recordings_folder = tmp_path / "runs"
     release = threading.Event()
-    held = acquisition_of(window).submit(lambda _: release.wait(HANG_S))
+    held = acquisition_of(window).commands.submit(lambda _: release.wait(HANG_S))
     press(qtbot, window, Qt.Key.Key_W)
     window.update_text()
     assert window.recording_panel.record.text() == "Stop recording"

@@ -189,7 +189,7 @@ def test_second_press_keeps_off_what_is_lighting_up(live: tuple[MainWindow, Fake
     window, camera = live
     switch_off(window, qtbot)
     busy = threading.Event()
-    acquisition_of(window).submit(lambda _: busy.wait(HANG_S))
+    acquisition_of(window).commands.submit(lambda _: busy.wait(HANG_S))
     for _ in range(2):
         press(qtbot, window, Qt.Key.Key_L)
         window.controls.light.setChecked(False)

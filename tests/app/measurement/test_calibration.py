@@ -30,7 +30,7 @@ def measured(toml: Path, enough: Callable[[list[Measurement]], bool], *settings:
             step.result(HANG_S)
         wait_until(lambda: enough(measurements))
         # same settings, but another calibration
-        acquisition.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
+        acquisition.commands.submit(lambda instrument: instrument.change_settings(())).result(HANG_S)
         before = len(measurements)
         wait_until(lambda: sum(not one.problem for one in measurements[before:]) >= 3)
         return list(measurements)  # closing switches the light off beside the worker: one more frame may be dark

@@ -231,7 +231,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     acquisition, measurements = live_small
     before = newest(measurements, 0, has_wavefront).wavefront
     assert before is not None
-    whole = acquisition.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
+    whole = acquisition.commands.submit(lambda instrument: SensorArea.of(instrument.devices.camera)).result(HANG_S)
     taken = acquisition.set_area(SensorArea(Region(17, 20, 140, 230), 1)).result(HANG_S)
     assert taken == SensorArea(Region(16, 16, 144, 224), 1)
     status = acquisition.status
@@ -242,7 +242,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     problem = "of another part of the sensor"
     newest(measurements, 0, lambda each: each.frame.pixels.shape == (144, 224) and problem in each.problem)
     with pytest.raises(WrongState, match="another part"):
-        acquisition.submit(lambda instrument: instrument.survey_lattice()).result(HANG_S)
+        acquisition.commands.submit(lambda instrument: instrument.survey_lattice()).result(HANG_S)
 
     seen = len(measurements)
     # the dark, still of the whole sensor, must not be used
@@ -261,7 +261,7 @@ def test_smaller_area_shows_same_lenslets_after_recalibration(
     np.testing.assert_allclose(now.displacement.mean[inside], before.displacement.mean[inside], atol=0.1)
 
     acquisition.set_area(whole).result(HANG_S)
-    assert acquisition.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
+    assert acquisition.commands.submit(lambda instrument: instrument.bench).result(HANG_S) == acquisition.bench
 
 
 def test_lattice_outside_frame_is_reported(live_small: tuple[Acquisition, list[Measurement]]) -> None:
