@@ -45,7 +45,7 @@ class StageTimes:
     count: int = 0  # since the start
     p50_s: float = math.nan  # of the kept times
     p99_s: float = math.nan  # of the kept times
-    max_s: float = math.nan  # since the start
+    max_s: float = math.nan  # since the start, or that of the last recording
     cause: str = ""  # what else ran in this process during the longest; empty if nothing that is known
 
 
@@ -103,14 +103,17 @@ class _Ring:
 
     def __init__(self, kept: int) -> None:
         self._times_s = np.zeros(kept)
-        self._count, self._max_s, self._cause = 0, -math.inf, ""
+        self._count, self._max_s, self._cause = 0, math.nan, ""
 
     def note(self, seconds: float, stage: TimedStage) -> None:
         self._times_s[self._count % len(self._times_s)] = seconds
         self._count += 1
-        if seconds > self._max_s:
+        if not seconds <= self._max_s:
             now_s = time.perf_counter()
             self._max_s, self._cause = seconds, _cause(now_s - seconds, now_s, stage)
+
+    def forget_longest(self) -> None:
+        self._max_s, self._cause = math.nan, ""
 
     def summary(self) -> StageTimes:
         count = self._count
@@ -134,6 +137,11 @@ class Timings:
         if stage not in _SPANS:
             _note_work(now_s - seconds, now_s, stage)
         self._rings[stage].note(seconds, stage)
+
+    def forget_longest(self) -> None:
+        """Begin anew with the longest time of each stage."""
+        for ring in self._rings.values():
+            ring.forget_longest()
 
     @contextmanager
     def of(self, stage: TimedStage) -> Iterator[None]:

@@ -302,7 +302,8 @@ class Acquisition(Commands):
         execute = self.commands.next(_IDLE_S if may_wait else 0.0)
         while execute is not None:
             self._keep_alive(_COMMAND_S)
-            execute(instrument)
+            with self.timings.of("command"):
+                execute(instrument)
             execute = self.commands.next()
 
     def _show_alive(self) -> None:

@@ -236,7 +236,7 @@ def print_figures(figures: LiveFigures) -> None:
     for name, measured, limit in figures.lines():
         colour = "[green]met[/]" if limit and limit.is_met else "[red]missed[/]"
         lines.append([name, measured, *((limit.asked, colour) if limit else ("", ""))])
-    notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the start."]
+    notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the recording began."]
     notes += [f"Longest pause of the {pause}." for pause in span.pauses()]
     if recording is not None and recording.problem:
         notes.append(f"The recording ended early: {recording.problem}")

@@ -122,11 +122,7 @@ def share(frames: FrameTotals) -> float:
 
 
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
-_PAUSES: dict[str, tuple[TimedStage, ...]] = {
-    "acquisition": ("register", "reconstruct", "publish", "copy", "command"),
-    "recorder": ("record",),
-    "window": ("draw",),
-}
+_PAUSES: dict[str, TimedStage] = {"acquisition": "to_result", "recorder": "record", "window": "draw"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,8 +166,7 @@ class Span:
 
     def pauses(self) -> Iterator[str]:
         """Yield the longest pauses of acquisition, recorder and window with what ran meanwhile."""
-        for who, stages in _PAUSES.items():
-            stage = max(stages, key=lambda each: self.times[each].max_s if self.times[each].count else 0.0)
+        for who, stage in _PAUSES.items():
             if (found := self.times[stage]).count:
                 during = f", during {found.cause}" if found.cause else ""
                 yield f"{who}: {stage.replace('_', ' ')} {1e3 * found.max_s:.0f} ms{during}"
@@ -213,6 +208,7 @@ class MeasuredRun(HeadlessRun):
         """Make the steps that are due, some times a second; `RunError` or `InputError` if one fails."""
         acquisition, folder = self.acquisition, self._record_into
         first_s = yield from self.first_wavefront(_GIVE_UP_S)
+        acquisition.timings.forget_longest()  # of this process; those of the instrument begin with the recording
         if folder is not None:
             self.send(lambda to: (to.start_recording(folder, command="benchmark"),))
 

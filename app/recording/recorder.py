@@ -255,6 +255,7 @@ class Recorder:
                 raise InputError(f"{self._recording.state.folder}: is still being recorded")
             folder = new_folder(folder) if may_rename else folder
             like = self._recent[-1] if self._recent else None
+            self._timings.forget_longest()
             self._recording = BackgroundRecording(folder, facts, self._timings, like=like, limit=limit)
 
     def limit(self, limit: RecordingLimit) -> None:

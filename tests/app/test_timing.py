@@ -62,6 +62,16 @@ def test_longest_time_names_what_ran_meanwhile(monkeypatch: pytest.MonkeyPatch) 
     assert timings.summary()["record"].cause == "register 60 ms"
 
 
+def test_longest_time_can_be_forgotten() -> None:
+    timings = Timings()
+    timings.note("record", 0.5)
+    timings.forget_longest()
+    assert math.isnan(timings.summary()["record"].max_s)
+    timings.note("record", 0.1)
+    summary = timings.summary()["record"]
+    assert (summary.count, summary.max_s) == (2, 0.1)
+
+
 def test_garbage_collection_and_import_are_causes(monkeypatch: pytest.MonkeyPatch) -> None:
     timings = Timings()
     timings.note("register", 0.0)
