@@ -169,7 +169,9 @@ class HeadlessRun:
     def stage_times(self) -> Generator[None, None, dict[TimedStage, StageTimes]]:
         """Return the times of the instrument's stages, and of those of this process."""
         asked = self.acquisition.stage_times()
-        yield from self.until(asked.done)
+        while not asked.done():
+            self._check()
+            yield
         here = self.acquisition.timings.summary()
         return asked.result() | {stage: times for stage, times in here.items() if times.count}
 
