@@ -400,7 +400,7 @@ class ConnectedBench(LiveBench):
         Frames that the instrument skipped for lack of time are in `measurement.counts` only.
         """
         self._require_open()
-        measurements = self._connection.every()
+        measurements = self._connection.frames.every()
 
         def until_failure() -> Iterator[Measurement]:
             yield from measurements
@@ -411,7 +411,7 @@ class ConnectedBench(LiveBench):
     @property
     def overtaken(self) -> int:
         """Number of measurements that the instrument replaced before, or while, this program read them."""
-        return self._connection.overtaken
+        return self._connection.frames.overtaken
 
     def set_light(self, on: bool) -> None:
         """Switch the light, or note that you switched it by hand. Off works at once, for watching clients, too."""

@@ -8,7 +8,7 @@ import math
 import os
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
@@ -99,7 +99,7 @@ class Connection(Commands):
         self._wakeup = WakeupPipe()
         self.commands: PendingCommands = PendingCommands(self._wakeup.notify, lambda: self.error or RunError(_CLOSED))
         self._pause_s = 0.0 if sinks else _SHOWN_S
-        self._frames = RemoteFrames(partial(self.commands.add, "detail"), sinks, self._pause_s)
+        self.frames = RemoteFrames(partial(self.commands.add, "detail"), sinks, self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
@@ -141,16 +141,7 @@ class Connection(Commands):
     @property
     def newest(self) -> Measurement | None:
         """The newest measurement."""
-        return self._frames.newest
-
-    @property
-    def overtaken(self) -> int:
-        """Number of frames that the instrument replaced before, or while, they were read here."""
-        return self._frames.overtaken
-
-    def every(self) -> Iterator[Measurement]:
-        """Yield each measurement from now on; with a sink, the instrument writes them all."""
-        return self._frames.every()
+        return self.frames.newest
 
     @property
     def error(self) -> Exception | None:
@@ -216,15 +207,13 @@ class Connection(Commands):
         """Leave, and wait for that."""
         self.begin_close()
         self._thread.join(timeout_s)
-        self._frames.join(timeout_s)
+        self.frames.join(timeout_s)
 
-    def _say(self, message: object) -> None:
-        self._say_packed(encoded(message).message())
-
-    def _say_packed(self, message: bytearray) -> None:
-        with suppress(zmq.Again):  # the instrument stands still
-            self._socket.send_multipart([self.address.key.encode(), message], zmq.NOBLOCK)
-        self._said_s = time.monotonic()
+    def _say(self, *messages: object) -> None:
+        for message in messages:
+            with suppress(zmq.Again):  # the instrument stands still
+                self._socket.send_multipart([self.address.key.encode(), encoded(message).message()], zmq.NOBLOCK)
+            self._said_s = time.monotonic()
 
     def _work(self) -> None:
         poller = zmq.Poller()
@@ -235,8 +224,7 @@ class Connection(Commands):
             while not self._closing.is_set() and self._ended is None:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
-            self._say_outgoing()
-            self._say(Heartbeat.BYE)
+            self._say(*self.commands.take(), Heartbeat.BYE)
         except RunError as error:
             self._ended = error
         except Exception as error:
@@ -248,7 +236,7 @@ class Connection(Commands):
             self._socket.disable_monitor()
             self._context.destroy(linger=_LINGER_MS)
             self._wakeup.close()
-            self._frames.close()
+            self.frames.close()
 
     def _reach(self) -> None:
         """Say hello to the instrument at `address`; called by the thread."""
@@ -256,13 +244,9 @@ class Connection(Commands):
         self._heard_s = time.monotonic()
         self._say(Hello(self.name, self._takes_control, self._pause_s))
 
-    def _say_outgoing(self) -> None:
-        for message in self.commands.take():
-            self._say_packed(message)
-
     def _turn(self, ready: dict[Any, int]) -> None:
         self._wakeup.clear()
-        self._say_outgoing()
+        self._say(*self.commands.take())
         is_gone = self._monitor in ready and recv_monitor_message(self._monitor)["event"] == zmq.EVENT_DISCONNECTED
         while self._socket.poll(0):
             self._heard_s = time.monotonic()
@@ -273,8 +257,8 @@ class Connection(Commands):
             process = f"the instrument's process {self.address.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
             self._ended = RunError(f"{process} {self._how_it_ended()}: {advice}")
-        if self._frames.error is not None and self._ended is None:
-            self._ended = RunError(f"frames of the instrument cannot be shown: {self._frames.error}")
+        if self.frames.error is not None and self._ended is None:
+            self._ended = RunError(f"frames of the instrument cannot be shown: {self.frames.error}")
         now_s = time.monotonic()
         if not self._has_state.is_set() and now_s > self._heard_s + ANSWER_S:
             raise RunError(
@@ -292,11 +276,11 @@ class Connection(Commands):
             case State():
                 self._take_state(message)
             case NewFrame():
-                self._frames.announce(message)
+                self.frames.announce(message)
             case Accepted():
                 self.commands.note_accepted(message.number)
             case Answer():
-                self._frames.outdate(message.count)
+                self.frames.outdate(message.count)
                 self.commands.note_answer(message)
             case Heartbeat():  # it has forgotten this client
                 self._say(Hello(self.name, False, self._pause_s))

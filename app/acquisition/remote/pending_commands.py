@@ -62,15 +62,15 @@ class PendingCommands:
         future.set_exception(self._loss())
         return future
 
-    def take(self) -> list[bytearray]:
-        """Return the messages to send now; a command must begin before it is given up here."""
+    def take(self) -> list[Command]:
+        """Return the commands to send now; each must begin before it is given up here."""
         now_s = time.monotonic()
         with self._lock:
             taken, self._waiting = self._waiting, []
             for command in taken:
                 self._expect(command.number, now_s + ANSWER_S)
         until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
-        return [encoded(replace(command, until_s=until_s)).message() for command in taken]
+        return [replace(command, until_s=until_s) for command in taken]
 
     def note_accepted(self, number: int) -> None:
         """Note that a command has arrived, and may take its time."""

@@ -112,7 +112,7 @@ class Controller(QObject):
         if (process := self._process) is not None:
             has_clients = process.is_alive and self.processes[0].condition != "gone"
             lines += [f"connected: {', '.join(process.clients)}"] * has_clients
-            lines += [f"{process.overtaken} {_OVERTAKEN}"]
+            lines += [f"{process.frames.overtaken} {_OVERTAKEN}"]
         return "\n".join(lines)
 
     @property
