@@ -134,6 +134,10 @@ class SimulatedBench:
     def expose(self, start_s: float, end_s: float) -> ReceivedLight:
         """Photons on the camera from `start_s` to `end_s`; a change in between counts from its moment."""
         self._load_rendered()
+        return self.expected(start_s, end_s)
+
+    def expected(self, start_s: float, end_s: float) -> ReceivedLight:
+        """As `expose`, with the images that are loaded, and of a time to come if nothing changes; for any thread."""
         parts, state = [], None
         for begin_s, finish_s, condition in self._pieces(start_s, end_s):
             image, state = self._image(condition, (begin_s + finish_s) / 2)

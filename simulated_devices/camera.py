@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
@@ -34,6 +35,10 @@ class _Run:
     start_s: float
     exposure_s: float
     em_gain: float
+
+    def end_s(self, index: int) -> float:
+        """End of the exposure of a frame."""
+        return self.start_s + (index + 1 - self.first_index) * self.exposure_s
 
     def complete(self, time_s: float) -> int:
         """Index of the first frame that is not complete at `time_s`."""
@@ -86,7 +91,7 @@ class SimulatedCamera(Camera):
         self._starts = 0
         self._states: OrderedDict[int, int | None] = OrderedDict()
         # While a frame is used, the next one is computed as if nothing changed: a real camera takes no time of ours.
-        self._expected: tuple[_Shot, Future[NDArray[np.uint16]]] | None = None
+        self._expected: Future[tuple[_Shot, NDArray[np.uint16]]] | None = None
         self._noisy: OrderedDict[object, tuple[_Shot, NDArray[np.uint16]]] = OrderedDict()  # repeated frames
 
     def state_of_frame(self, index: int) -> int | None:
@@ -200,15 +205,14 @@ class SimulatedCamera(Camera):
         self._runs.append(replace(run, first_index=complete))
 
     def _run_of(self, index: int) -> _Run:
-        return max((run for run in self._runs if run.first_index <= index), key=lambda run: run.first_index)
+        return next(run for run in reversed(self._runs) if run.first_index <= index)
 
     def _end_s(self, index: int) -> float:
-        run = self._run_of(index)
-        return run.start_s + (index + 1 - run.first_index) * run.exposure_s
+        return self._run_of(index).end_s(index)
 
-    def _shot(self, index: int) -> _Shot:
-        """What the present settings and light give frame number `index`."""
-        run, end_s = self._run_of(index), self._end_s(index)
+    def _shot(self, run: _Run, index: int, light: Callable[[float, float], ReceivedLight]) -> _Shot:
+        """What the present settings and the light during its exposure give frame number `index`."""
+        end_s = run.end_s(index)
         exposure = FrameConditions(
             index=(self._starts << 40) + index,  # each start has its own noise
             exposure_s=run.exposure_s,
@@ -216,10 +220,11 @@ class SimulatedCamera(Camera):
             readout_speed=self._read_readout_speed(),
             em_gain=run.em_gain,
         )
-        return _Shot(self._bench.expose(end_s - run.exposure_s, end_s), exposure, self._part)
+        return _Shot(light(end_s - run.exposure_s, end_s), exposure, self._part)
 
     def _frame(self, index: int) -> Frame:
-        run, shot = self._run_of(index), self._shot(index)
+        run = self._run_of(index)
+        shot = self._shot(run, index, self._bench.expose)
         self._runs = [past for past in self._runs if past.first_index >= run.first_index]
         self._states[index] = shot.received.state
         while len(self._states) > _STATES_REMEMBERED:
@@ -229,7 +234,7 @@ class SimulatedCamera(Camera):
         return Frame(
             pixels=pixels,
             index=index,
-            camera_time_s=self._end_s(index),
+            camera_time_s=run.end_s(index),
             host_time_s=self._bench.clock.now(),
             exposure_s=run.exposure_s,
             em_gain=run.em_gain,
@@ -239,11 +244,16 @@ class SimulatedCamera(Camera):
         """Counts of a frame, and begin to compute the next one's."""
         if noises := self._settings.noise_frames:
             return self._repeated(shot._replace(exposure=replace(shot.exposure, index=index % noises)))
-        expected, self._expected = self._expected, None
-        pixels = expected[1].result() if expected and expected[0].is_same(shot) else self._computed(shot)
-        following = self._shot(index + 1)
-        self._expected = following, self._detector.begin(following.light, following.exposure)
+        expected = self._expected.result() if self._expected else None
+        pixels = expected[1] if expected and expected[0].is_same(shot) else self._computed(shot)
+        run = self._run_of(index + 1)
+        self._expected = self._detector.begin(lambda: self._computed_ahead(run, index + 1))
         return pixels
+
+    def _computed_ahead(self, run: _Run, index: int) -> tuple[_Shot, NDArray[np.uint16]]:
+        shot = self._shot(run, index, self._bench.expected)
+        image, dose = shot.light()
+        return shot, self._detector.counts_here(image, shot.exposure, dose=dose)
 
     def _computed(self, shot: _Shot) -> NDArray[np.uint16]:
         image, dose = shot.light()

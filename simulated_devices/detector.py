@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 from threading import Thread
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,8 @@ from reconstruction.arrays import Image
 from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.settings import Amplifier, SimulatedCameraSettings
+
+T = TypeVar("T")
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -280,17 +282,16 @@ class Detector:
             job.result()
         return counts
 
-    def begin(
-        self, light: Callable[[], tuple[NDArray[np.float32], np.float32]], exposure: FrameConditions
-    ) -> Future[NDArray[np.uint16]]:
-        """Begin to compute a frame's counts in one thread, where `light` returns an image and its dose."""
+    def counts_here(
+        self, image: NDArray[np.float32], exposure: FrameConditions, *, dose: np.float32
+    ) -> NDArray[np.uint16]:
+        """As `counts`, in the calling thread."""
+        counts = np.empty(image.shape, np.uint16)
+        self._expose(image, dose, exposure, (0, len(image)), counts)
+        return counts
 
-        def work() -> NDArray[np.uint16]:
-            image, dose = light()
-            counts = np.empty(image.shape, np.uint16)
-            self._expose(image, dose, exposure, (0, len(image)), counts)
-            return counts
-
+    def begin(self, work: Callable[[], T]) -> Future[T]:
+        """Begin some work in one of the threads."""
         return self._pool.submit(work)
 
     def _expose(
@@ -329,7 +330,7 @@ def compile_ahead() -> None:
     def expose() -> None:
         detector = Detector(SimulatedCameraSettings(), seed=0)
         exposure = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
-        detector.begin(lambda: (np.zeros((1, 1), np.float32), np.float32(1)), exposure).result()
+        detector.counts_here(np.zeros((1, 1), np.float32), exposure, dose=np.float32(1))
         detector.close()
 
     Thread(target=expose, name="compile-detector", daemon=True).start()
