@@ -14,6 +14,7 @@ from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.pictures import html, picture_of_views
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.solve.zonal import ZonalSolution
 
@@ -31,6 +32,7 @@ class Wavefront:
     solution: Solution
     views: Floats  # rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown or outside the field
     sample: AssumedSample  # that was assumed
+    sigma_source: Deferred[Floats] | None = None  # `sigma`, if the solution does not compute it
 
     @classmethod
     def of(
@@ -45,7 +47,9 @@ class Wavefront:
         return self.solution.coefficients if isinstance(self.solution, ModalSolution) else None
 
     def sigma(self) -> Floats:
-        """Standard deviation of `views`, rad, the same shape; takes some milliseconds."""
+        """Standard deviation of `views`, rad, the same shape."""
+        if self.sigma_source is not None:
+            return self.sigma_source()
         return _at_views(self.field, self.displacement, self.solution.sigma)
 
     @property

@@ -131,7 +131,7 @@ class LayeredWavefronts:
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
             others = np.zeros((shape[0] - 1, shape[1], len(sample.ratios)), np.float32)
             others[columns] = self._of_distances(sample, frame)
-            return Deviations(deviation.astype(np.float32), others)
+            return Deviations(spread, deviation.astype(np.float32), others)
 
         def fitted() -> Floats:
             whitened = (design.rows @ fit.polynomials).reshape(frame.weighted.shape)
@@ -140,7 +140,6 @@ class LayeredWavefronts:
         return ModalSolution(
             coefficients=coefficients,
             _known=known,
-            _spread=Deferred(lambda: spread),
             _deviations=Deferred(deviations),
             noise=estimate.noise,
             freedom=estimate.freedom,

@@ -93,6 +93,7 @@ class Spread:
 class Deviations(NamedTuple):
     """Standard deviations of one frame's components, and deviations beyond these."""
 
+    spread: Spread  # in the first pupil modes; the others are 0
     of_components: Image  # (n,)
     others: Image  # rad, (pupil_mode - 1, field_mode, k)
 
@@ -103,7 +104,6 @@ class ModalSolution:
 
     coefficients: Floats  # e_pq, rad, (pupil_mode, field_mode); zero for the piston
     _known: KnownModes
-    _spread: Deferred[Spread]  # in the first pupil modes; the others are 0
     _deviations: Deferred[Deviations]
     noise: float  # variance of the displacements' errors over that of the expected ones
     freedom: float  # number of data minus that of the components which they determine
@@ -141,8 +141,8 @@ class ModalSolution:
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        flat, (deviation, others) = field_modes.reshape(-1, field_modes.shape[-1]), self._deviations()
-        variance = self._spread().variance(flat, deviation)
+        flat, (spread, deviation, others) = field_modes.reshape(-1, field_modes.shape[-1]), self._deviations()
+        variance = spread.variance(flat, deviation)
         for other in np.moveaxis(others, -1, 0):
             values = self._known.values[: len(other)].astype(np.float32)
             variance = variance + (flat.astype(np.float32) @ other.T @ values) ** 2
@@ -202,8 +202,8 @@ class ModalSolution:
     @cached_property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
-        deviation, others = self._deviations()
-        root = np.concatenate([self._spread().components * deviation, others], axis=-1)
+        spread, deviation, others = self._deviations()
+        root = np.concatenate([spread.components * deviation, others], axis=-1)
         return np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
 
 
@@ -297,12 +297,12 @@ class ModalSolver:
 
         def deviations() -> Deviations:
             deviation = np.sqrt(self.errors.variance(estimate, components.singular, ALIKE_IF_FREE))
-            return Deviations(deviation.astype(np.float32), np.empty((*coefficients[1:].shape, 0), np.float32))
+            others = np.empty((*coefficients[1:].shape, 0), np.float32)
+            return Deviations(equations.spread, deviation.astype(np.float32), others)
 
         return ModalSolution(
             coefficients=coefficients,
             _known=equations.known,
-            _spread=Deferred(lambda: equations.spread),
             _deviations=Deferred(deviations),
             noise=estimate.noise,
             freedom=estimate.freedom,

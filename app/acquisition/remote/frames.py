@@ -24,6 +24,7 @@ from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from drivers.errors import DeviceError
+from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.pupil_modes import PupilModes
@@ -184,12 +185,11 @@ def _with_wavefront(
     displacement = registered if bias is None else registered.minus(bias)
     solution: Solution
     if modes.pupil is not None and modes.parameters is not None:
-        known, root = _known(modes.pupil, arrays["known"].tobytes()), detail("root_covariance")
+        known, root_covariance = _known(modes.pupil, arrays["known"].tobytes()), detail("root_covariance")
         solution = ModalSolution(
             coefficients=arrays["coefficients"],
             _known=known,
-            _spread=Deferred(lambda: Spread(root(), known, [])),
-            _deviations=Deferred(lambda: Deviations(np.ones(root().shape[2], np.float32), root()[..., :0])),
+            _deviations=Deferred(lambda: _deviations(root_covariance(), known)),
             noise=facts.noise,
             freedom=facts.freedom,
             _displacement=displacement,
@@ -207,13 +207,20 @@ def _with_wavefront(
             slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
         )
     sample = made.assumed.sample or FREE
-    wavefront = Wavefront(sensor, calibration.bench.field, displacement, solution, arrays["wavefront"], sample)
+    field, views = calibration.bench.field, arrays["wavefront"]
+    wavefront = Wavefront(sensor, field, displacement, solution, views, sample, detail("sigma"))
     return replace(made, registered=registered, wavefront=wavefront)
 
 
 @lru_cache(maxsize=4)
 def _known(modes: PupilModes, lenslets: bytes) -> KnownModes:
     return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
+
+
+def _deviations(root_covariance: Image, known: KnownModes) -> Deviations:
+    """Take the root of the covariance as components that deviate by 1."""
+    others = np.empty((*root_covariance.shape[:2], 0), np.float32)
+    return Deviations(Spread(root_covariance, known, []), np.ones(root_covariance.shape[2], np.float32), others)
 
 
 def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:

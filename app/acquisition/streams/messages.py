@@ -88,13 +88,14 @@ class OwnFacts(NamedTuple):
     is_shown_only: bool  # a routine's frame
     calibration: int | None  # number of the shared object
     modes: int | None  # number; None without a wavefront
-    freedom: float  # of a modal wavefront
+    freedom: float  # of a modal wavefront, as the noise
     noise: float
     has_transmission: bool
 
 
 OF_LENSLETS = ("outcome", "residual_rms", "chi_square", "range_used")
 DETAILS: dict[str, Callable[[Any], Any]] = {
+    "sigma": lambda wavefront: wavefront.sigma(),
     "covariance": lambda wavefront: wavefront.displacement.covariance,
     "transmission": lambda wavefront: wavefront.displacement.transmission,
     "root_covariance": lambda wavefront: wavefront.solution.root_covariance,
@@ -107,7 +108,8 @@ def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_onl
     """Return the message for clients of the instrument: arrays of all topics, and the pixels."""
     calibration, wavefront, registered = measurement.calibration, measurement.wavefront, measurement.registered
     modes, labelled = None, list[Labelled]()
-    freedom, noise, has_transmission = math.nan, math.nan, False
+    freedom = noise = math.nan
+    has_transmission = False
     if wavefront is not None and registered is not None:
         solution, modes = wavefront.solution, shared.modes_number(wavefront)
         has_transmission = registered.transmission_source is not None
