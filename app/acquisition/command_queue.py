@@ -1,7 +1,7 @@
 """The queue of commands of the thread that owns the devices."""
 
-import queue
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from functools import partial
@@ -31,14 +31,13 @@ class CommandQueue:
     """Accepts commands from any thread until it is closed; each gets a future.
 
     `afterwards` runs after a command that did not stop the worker, before its future resolves. A command may not light
-    a light that has gone off since it was submitted. None begins while another thread holds `beginning`.
+    a light that has gone off since it was submitted. None begins while another thread holds `lock`.
     """
 
     def __init__(self, off_count: OffCount, afterwards: Callable[[Instrument], None]) -> None:
         self._off_count, self._afterwards = off_count, afterwards
-        self.beginning = threading.Lock()
-        self._waiting: queue.Queue[tuple[Callable[[Instrument], None], Future[Any]]] = queue.Queue()
-        self._ending = threading.Lock()  # no command may slip in while the queue closes
+        self.lock = threading.Condition()
+        self._waiting: deque[tuple[Callable[[Instrument], None], Future[Any]]] = deque()
         self._refusal: str | None = None  # why commands are refused; None while they are accepted
 
     def submit(
@@ -63,35 +62,34 @@ class CommandQueue:
                 raise
             resolve()
 
-        with self._ending:
+        with self.lock:
             if self._refusal is None:
-                self._waiting.put((execute, future))
-            else:
-                future.set_exception(WrongState(self._refusal))
+                self._waiting.append((execute, future))
+                self.lock.notify()
+                return future
+        future.set_exception(WrongState(self._refusal))
         return future
 
     @property
     def is_empty(self) -> bool:
         """True if no command waits."""
-        return self._waiting.empty()
+        return not self._waiting
 
     def next(self, timeout_s: float = 0.0) -> Callable[[Instrument], None] | None:
         """Remove the next command, to be called by the worker; None if none arrives within `timeout_s`.
 
         The command raises only errors that end the worker: a failing device or a bug.
         """
-        try:
-            execute, _ = self._waiting.get(block=timeout_s > 0, timeout=timeout_s)
-        except queue.Empty:
+        if self.is_empty and not timeout_s:  # without the lock: between two frames nothing may wait for it
             return None
-        with self.beginning:
-            return execute
+        with self.lock:
+            self.lock.wait_for(lambda: self._waiting, timeout_s)
+            return self._waiting.popleft()[0] if self._waiting else None
 
     def close(self, refusal: str) -> None:
         """Refuse all waiting and future commands for this reason."""
-        with self._ending:
+        with self.lock:
             self._refusal = refusal
-        while not self.is_empty:
-            _, future = self._waiting.get()
+        for _, future in self._waiting:
             if future.set_running_or_notify_cancel():
                 future.set_exception(WrongState(refusal))

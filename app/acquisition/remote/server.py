@@ -132,7 +132,7 @@ class Server:
 
     def _turn(self) -> None:
         now_s = time.monotonic()
-        with self.acquisition.commands.beginning:  # until all are heard: one of them may switch the light off
+        with self.acquisition.commands.lock:  # until all are heard: one of them may switch the light off
             if now_s > self._heard_s + _STOPPED_S:
                 time.sleep(_GATHERING_S)
             for identity, message in self._arrived():
