@@ -97,7 +97,7 @@ class Connection(Commands):
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
         self._wakeup = WakeupPipe()
-        self.commands: PendingCommands = PendingCommands(self._wakeup.notify, lambda: self.error or RunError(_CLOSED))
+        self.commands: PendingCommands = PendingCommands(self._wakeup.notify)
         self._pause_s = 0.0 if sinks else _SHOWN_S
         self.frames = RemoteFrames(partial(self.commands.add, "detail"), sinks, self._pause_s)
         self._heard_s = self._said_s = math.inf  # until the instrument is reached

@@ -26,9 +26,10 @@ _ON_ITS_WAY_S = 1.0  # for the news that it was accepted
 class PendingCommands:
     """Takes commands from any thread, for the one that sends them."""
 
-    def __init__(self, notify: Callable[[], object], loss: Callable[[], Exception]) -> None:
-        """`notify` wakes the sender; `loss` tells why nothing is sent any more, after `close`."""
-        self._notify, self._loss, self._is_closed = notify, loss, False
+    def __init__(self, notify: Callable[[], object]) -> None:
+        """`notify` wakes the sender."""
+        self._notify = notify
+        self._refusal: Exception | None = None  # of all commands, once closed
         self._numbers, self._lock = itertools.count(1), threading.Lock()
         self._waiting: list[Command] = []
         self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time until which it must be accepted
@@ -54,12 +55,12 @@ class PendingCommands:
             future.set_exception(BadValue(f"{request}: this is too large to be sent to the instrument"))
             return future
         with self._lock:
-            if not self._is_closed:
+            if self._refusal is None:
                 self._unanswered[command.number] = future, math.inf
                 self._waiting.append(command)
                 self._notify()
                 return future
-        future.set_exception(self._loss())
+        future.set_exception(self._refusal)
         return future
 
     def take(self) -> list[Command]:
@@ -98,6 +99,6 @@ class PendingCommands:
     def close(self, why: Exception) -> None:
         """Fail all commands without an answer, and take none any more."""
         with self._lock:
-            left, self._unanswered, self._is_closed = list(self._unanswered.values()), {}, True
+            left, self._unanswered, self._refusal = list(self._unanswered.values()), {}, why
         for future, _ in left:
             future.set_exception(why)
