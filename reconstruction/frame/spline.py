@@ -19,7 +19,7 @@ from scipy.linalg import toeplitz
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import compiled, inlined
-from reconstruction.runtime.threads import worker_pool
+from reconstruction.runtime.threads import in_threads, worker_pool
 
 _SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
 _POLE = np.sqrt(3.0) - 2.0
@@ -31,6 +31,7 @@ _TAPS = np.array([[1 + _POLE ** (2 * k), _POLE**k] for k in _DISTANCES])
 _TAPS /= np.sum(_TAPS, axis=1, keepdims=True) + _TAPS[:, 1:]
 _TAPS = (_TAPS * np.array([[(1 - _POLE) ** 2], [1], [1], [1]])).astype(np.float32)
 _RUN_IN = 14  # extra rows on both sides of a strip, after which the recursion has forgotten its start
+_AT_ONCE = 300_000  # positions that one thread interpolates at a time
 _STRIP = 64  # rows; fixed, so that the result does not depend on the number of threads
 
 
@@ -63,8 +64,14 @@ def interpolate(coefficients: Image, position_px: Floats) -> tuple[Floats, Float
     """Interpolate at positions (..., xy) in the image: values (...) and gradients (..., xy) per pixel."""
     values, gradients = np.empty(position_px.shape[:-1]), np.empty(position_px.shape)
     image = np.require(coefficients, np.float32, ("C", "W"))  # so that Numba compiles one signature only
-    position = np.require(position_px, np.float64, ("C", "W"))
-    _interpolate(image, position.reshape(-1, 2), values.reshape(-1), gradients.reshape(-1, 2))
+    position = np.require(position_px, np.float64, ("C", "W")).reshape(-1, 2)
+    flat_values, flat_gradients = values.reshape(-1), gradients.reshape(-1, 2)
+
+    def share(first: int) -> None:
+        some = slice(first, first + _AT_ONCE)
+        _interpolate(image, position[some], flat_values[some], flat_gradients[some])
+
+    in_threads(share, range(0, len(position), _AT_ONCE))
     return values, gradients
 
 
@@ -76,11 +83,13 @@ def _interpolate(coefficients: Image, position_px: Floats, values: Floats, gradi
         along, along_slopes = _weights(position_px[n, 0] - left)
         across, across_slopes = _weights(position_px[n, 1] - above)
         value, slope_x, slope_y = 0.0, 0.0, 0.0
+        top, first = int(above) - 1, int(left) - 1
+        is_inside = 0 <= top < rows - 3 and 0 <= first < columns - 3
         for i in range(4):
-            row = coefficients[_mirrored_index(int(above) + i - 1, rows)]
+            row = coefficients[top + i if is_inside else _mirrored_index(top + i, rows)]
             of_row, slope_of_row = 0.0, 0.0
             for j in range(4):
-                tap = row[_mirrored_index(int(left) + j - 1, columns)]
+                tap = row[first + j if is_inside else _mirrored_index(first + j, columns)]
                 of_row += along[j] * tap
                 slope_of_row += along_slopes[j] * tap
             value += across[i] * of_row

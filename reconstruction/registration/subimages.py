@@ -93,14 +93,17 @@ class ReferenceSubimages:
         self.offset_px = np.stack([x, y], axis=-1)  # window positions about the centre, lattice frame, (N, xy)
         position_px = self.center_px[:, None] + self.offset_px @ self.turn
         edge = np.array(reference.shape[::-1]) - 1
-        self.off_camera = np.any((position_px < -0.5) | (position_px > edge + 0.5), axis=(1, 2))
+        corners_px = position_px[:, [0, self.width - 1, -self.width, -1]]
+        self.off_camera = np.any((corners_px < -0.5) | (corners_px > edge + 0.5), axis=(1, 2))
         if np.mean(self.off_camera) > _OFF_CAMERA_FRACTION:
             rows, columns = reference.shape
             raise ReconstructionError(
                 f"{np.count_nonzero(self.off_camera)} of {self.off_camera.size} lenslets lie outside the frame of"
                 f" {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
-        self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
+        if np.any((corners_px < 0) | (corners_px > edge)):
+            position_px = np.clip(position_px, 0, edge)
+        self.position_px = position_px  # of the windows on the camera, (L, N, xy)
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.spline_coefficients = self.spline(reference)  # of the whole frame, (row, column)

@@ -3,14 +3,18 @@
 import os
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
 from threading import RLock
+from typing import TypeVar
 
 from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped] # ships no types
+
+A = TypeVar("A")
+R = TypeVar("R")
 
 THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
 _SWITCH_INTERVAL_S = 0.0005
@@ -48,6 +52,23 @@ class ProcessSetting:
 def worker_pool(threads: int) -> ThreadPoolExecutor:
     """Pool of that many threads besides the caller, shared by the whole process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="reconstruction")
+
+
+def in_threads(function: Callable[[A], R], items: Iterable[A], threads: int = THREADS) -> list[R]:
+    """Results of a function for each item, which some threads share; it should spend its time without Python's lock."""
+    waiting = list(enumerate(items))
+    results, left = dict[int, R](), iter(waiting)
+
+    def work() -> None:
+        for place, item in left:  # taking the next one is indivisible
+            results[place] = function(item)
+
+    others = [worker_pool(threads - 1).submit(work) for _ in range(1, min(threads, len(waiting)))]
+    work()
+    for other in others:
+        if not other.cancel():
+            other.result()
+    return [results[place] for place, _ in waiting]
 
 
 if hasattr(os, "register_at_fork"):  # a forked process inherits the pools, but not their threads

@@ -21,13 +21,16 @@ from functools import cached_property
 from typing import Any, NamedTuple, Self, TypeAlias
 
 import numpy as np
-from scipy import ndimage
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.csgraph import connected_components
 
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.errors import TooManyModes
 from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.runtime.deferred import Deferred, Remembered
+from reconstruction.runtime.threads import in_threads
 from reconstruction.solve.evidence import Components, Estimate, FitQuality
 from reconstruction.solve.expected_errors import ALIKE_IF_FREE, ExpectedErrors, Sensitivity, Whitened
 
@@ -229,6 +232,15 @@ class _Equations:
     spread: Spread  # `scaled` at the known lenslets
 
 
+def _blocks(basis: Floats) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """Rows and columns of the blocks of a matrix outside which it is 0, as modes of different symmetry do not mix."""
+    row, column = np.nonzero(basis)
+    graph = sparse.coo_array((np.ones(len(row)), (row, len(basis) + column)), shape=(sum(basis.shape),) * 2)
+    count, label = connected_components(graph, directed=False)
+    of_row, of_column = label[: len(basis)], label[len(basis) :]
+    return [(np.flatnonzero(of_row == block), np.flatnonzero(of_column == block)) for block in range(count)]
+
+
 class ModalSolver:
     """Fits pupil modes, piston first, times field modes to displacements; prepared for one reference.
 
@@ -266,12 +278,21 @@ class ModalSolver:
         basis = np.diag(scale.ravel()) if layered is None else scale.reshape(-1, 1) * layered(scale)
         self._unknowns = basis.shape[1]
         chunks = [slice(first, first + _AT_ONCE) for first in range(0, modes.inside.size, _AT_ONCE)]
-        rows = [self.errors.rows(modes, some) @ basis for some in chunks]
-        self._singular, vectors = self._seen(*np.linalg.eigh(sum(some.T @ some for some in rows)))
+        blocks = _blocks(basis)
+
+        def in_basis(some: slice) -> Floats:
+            rows = self.errors.rows(modes, some)
+            found = np.empty((len(rows), basis.shape[1]))
+            for row, column in blocks:
+                found[:, column] = rows[:, row] @ basis[np.ix_(row, column)]
+            return found
+
+        rows = in_threads(in_basis, chunks)
+        self._singular, vectors = self._seen(*np.linalg.eigh(sum(in_threads(lambda some: some.T @ some, rows))))
         self._scaled = basis @ vectors
         self._left_singular = self._scaled / self._singular  # to left singular vectors, see `ExpectedErrors.rows`
         to_left = vectors / self._singular
-        across = np.concatenate([(some @ to_left).astype(np.float32) for some in rows])
+        across = np.concatenate(in_threads(lambda some: (some @ to_left).astype(np.float32), rows))
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
         self._equations = Remembered(self._down_dated, 16)
         self._kept: KeptSquares = []

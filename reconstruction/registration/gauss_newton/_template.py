@@ -28,6 +28,7 @@ from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, W
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.response import OwnWavefront
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
+from reconstruction.runtime.threads import in_threads
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
 # scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is 1.4 times
@@ -211,7 +212,8 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
         parameters = -np.linalg.pinv(squares, rcond=_UNSEEN**2) @ of_changes
         return np.swapaxes(parameters[:, : len(images.basis)], 1, 2)
 
-    each = np.concatenate([found(slice(first, first + _AT_ONCE)) for first in range(0, lenslets, _AT_ONCE)])
+    chunks = [slice(first, first + _AT_ONCE) for first in range(0, lenslets, _AT_ONCE)]
+    each = np.concatenate(in_threads(found, chunks))
     return each.reshape(lenslets, *changes.shape[:-2], -1)
 
 
@@ -222,7 +224,6 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
     """
     reference, modes, basis, of_window = images.reference, images.modes, images.basis, images.pixels.ravel()
     flux = 1 / reference.half_width_px if images.conserves_flux else 0.0
-    smooth = _smooth_light(reference)[:, of_window]
     gradients = gradient_basis(modes)
     lenslets, parameters, count = len(reference.light), len(basis) + 2, np.count_nonzero(of_window)
     grid = Grid(
@@ -239,15 +240,17 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
         bend=_mean_square_gradient(modes, basis, reference.half_width_px).astype(np.float32),
         is_gradient=bool(np.allclose(basis @ gradients.T @ gradients, basis)),
     )
-    per_pixel, per_light = [], []
     terms = TRANSMISSION_MODES.count
     to_brightness = np.empty((lenslets, terms, count), np.float32)
     covariance = np.empty((2, lenslets, terms, terms))
-    for first in range(0, lenslets, _AT_ONCE):
+
+    def prepare(first: int) -> tuple[Propagated, Propagated]:
         some = slice(first, first + _AT_ONCE)
         light, gradient = reference.light[some][:, of_window], reference.gradient[some][:, of_window]
         descent = images(light, gradient)
-        weight = np.ones_like(light) if noise is None else _pixel_weights(smooth[some], noise)
+        weight = np.ones_like(light)
+        if noise is not None:
+            weight = _pixel_weights(_smooth_light(reference, some)[:, of_window], noise)
         weight *= reference.usable[some][:, of_window] & reference.lit[some, None]
         weight /= np.maximum(weight.mean(axis=1, keepdims=True), _NOTHING)
         weighted = descent * weight[:, None]
@@ -261,10 +264,12 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
         grid.level[some] = np.stack([light.mean(axis=1), light.std(axis=1)], axis=1)
         of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
         to_brightness[some] = of_brightness
-        per_pixel.append(_propagated(np.ones_like(light), inverse, weight, descent))
-        per_light.append(_propagated(np.maximum(light, 0), inverse, weight, descent))
+        of_pixels = _propagated(np.ones_like(light), inverse, weight, descent)
+        return of_pixels, _propagated(np.maximum(light, 0), inverse, weight, descent)
+
+    prepared = in_threads(prepare, range(0, lenslets, _AT_ONCE))
     of_pixels, of_light = (
-        Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in (per_pixel, per_light)
+        Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*prepared, strict=True)
     )
     contrast = reference.light[:, of_window].std(axis=1)
     return Template(grid, images, contrast, of_pixels, of_light, to_brightness, covariance)
@@ -325,20 +330,20 @@ def _propagated(variance: Floats, inverse: Floats, weight: Floats, descent: Floa
     )
 
 
-def _smooth_light(reference: ReferenceSubimages) -> Floats:
+def _smooth_light(reference: ReferenceSubimages, some: slice = slice(None)) -> Floats:
     """Mean light over neighbours, (L, N): weights from single noisy pixels would favour dark ones."""
-    light = reference.light.reshape(-1, reference.width, reference.width)
-    smooth = ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(reference.light.shape)
+    light = reference.light[some].reshape(-1, reference.width, reference.width)
+    smooth = ndimage.uniform_filter(light, (0, 3, 3), mode="nearest").reshape(len(light), -1)
     return np.maximum(smooth, 0.0)
 
 
 def _mean_lenslet(reference: ReferenceSubimages, pixels: Booleans) -> tuple[Floats, Floats, Floats]:
     """Mean light of lit lenslets, its gradient and expected light on pixels (width, width): (1, N, ...)."""
-    light, gradient, expected = (
-        of_lenslets[:, pixels.ravel()][reference.lit].mean(axis=0, keepdims=True)
-        for of_lenslets in (reference.light, reference.gradient, _smooth_light(reference))
-    )
-    return light, gradient, expected
+    share = reference.lit / np.count_nonzero(reference.lit)
+    chunks = [slice(first, first + _AT_ONCE) for first in range(0, len(share), _AT_ONCE)]
+    smooth = in_threads(lambda some: share[some] @ _smooth_light(reference, some), chunks)
+    light, gradient = share @ reference.light, np.tensordot(share, reference.gradient, axes=1)
+    return light[None, pixels.ravel()], gradient[None, pixels.ravel()], np.sum(smooth, axis=0)[None, pixels.ravel()]
 
 
 def visible_warp(
