@@ -10,6 +10,7 @@ sum_j B(j - f) exp(2 pi i nu (j - f)) / sum_j B(j) exp(2 pi i nu j), B the cubic
 sinc(nu)^4 / ((2 + cos(2 pi nu)) / 3), blurs a displaced image.
 """
 
+from collections.abc import Callable
 from functools import cache, lru_cache
 from typing import TypeAlias
 
@@ -19,9 +20,9 @@ from scipy.linalg import toeplitz
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import compiled, inlined
-from reconstruction.runtime.threads import in_threads, worker_pool
+from reconstruction.runtime.counters import Counters, finish, is_finished, new_counters, take
+from reconstruction.runtime.threads import in_threads
 
-_SHARED_FROM_PX = 150_000  # below, waking threads takes longer than they save
 _POLE = np.sqrt(3.0) - 2.0
 _Z = np.float32(_POLE)
 _DISTANCES = (1, 2, 4, 8)  # px, between the three numbers of each convolution; what is left out is below 1e-8
@@ -35,23 +36,31 @@ _AT_ONCE = 300_000  # positions that one thread interpolates at a time
 _STRIP = 64  # rows; fixed, so that the result does not depend on the number of threads
 
 
-def spline_coefficients(image: NDArray[np.uint16] | Image, *, threads: int = 1) -> Image:
+def spline_coefficients(image: NDArray[np.uint16] | Image) -> Image:
     """B-spline coefficients of an image (row, column), mirrored at its borders."""
-    light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
-    coefficients = np.empty(light.shape, np.float32)
-    threads = 1 if light.size < _SHARED_FROM_PX else threads
-    beyond = _beyond(light.shape[1])
-
-    def filter_strips(part: int) -> None:
-        work = np.empty((_STRIP + 2 * _RUN_IN, light.shape[1]), np.float32)
-        lines = np.empty((2, light.shape[1] + 2 * _REACH), np.float32)
-        _prefilter(light, coefficients, (part, threads), work, lines, beyond)
-
-    others = [worker_pool(threads - 1).submit(filter_strips, part) for part in range(1, threads)]
-    filter_strips(0)
-    for other in others:
-        other.result()
+    coefficients, share = shared_coefficients(image)
+    share()
     return coefficients
+
+
+def shared_coefficients(image: NDArray[np.uint16] | Image) -> tuple[Image, Callable[[], None]]:
+    """Coefficients of an image (row, column) to be computed, and the work, which threads may share.
+
+    After the call of one thread returns, all coefficients are computed.
+    """
+    light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
+    coefficients, counters = np.empty(light.shape, np.float32), new_counters()
+    rows, columns = light.shape
+    beyond = _beyond(columns)
+
+    def share() -> None:
+        work = np.empty((_STRIP + 2 * _RUN_IN, columns), np.float32)
+        lines = np.empty((2, columns + 2 * _REACH), np.float32)
+        _prefilter(light, coefficients, counters, work, lines, beyond)
+        if not is_finished(counters, -(-rows // _STRIP)):  # another thread was interrupted amid a strip
+            _prefilter(light, coefficients, new_counters(), work, lines, beyond)
+
+    return coefficients, share
 
 
 @lru_cache(maxsize=16)
@@ -182,15 +191,18 @@ def _weights(t: float) -> tuple[_Four, _Four]:
 
 @compiled
 def _prefilter(
-    image: Image, coefficients: Image, part: tuple[int, int], work: Image, lines: Image, beyond: NDArray[np.intp]
+    image: Image, coefficients: Image, counters: Counters, work: Image, lines: Image, beyond: NDArray[np.intp]
 ) -> None:
-    """Compute every `part[1]`-th strip of the coefficients (row, column), starting with strip `part[0]`.
+    """Compute strips of the coefficients (row, column), shared with the threads that have the same counters.
 
     `work` (strip and its run-in, column) and `lines` (2, column and reach) are places to work.
     """
     rows, columns = image.shape
     last = _STRIP + 2 * _RUN_IN - 1
-    for top in range(part[0] * _STRIP, rows, part[1] * _STRIP):
+    while True:
+        top = take(counters) * _STRIP
+        if top >= rows:
+            return
         first = _mirrored_index(top - _RUN_IN, rows)
         for column in range(columns):
             work[0, column] = image[first, column]
@@ -209,6 +221,7 @@ def _prefilter(
                 length -= 2 * _DISTANCES[step]
                 line = coefficients[top + row] if length == columns else lines[1 - step % 2, :length]
                 _convolve(lines[step % 2], _DISTANCES[step], _TAPS[step, 0], _TAPS[step, 1], line)
+        finish(counters)
 
 
 @inlined

@@ -125,10 +125,10 @@ class ReferenceSubimages:
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
-    def spline(self, light: Image, *, saturated: Booleans | None = None, threads: int = 1) -> Image:
+    def spline(self, light: Image, *, saturated: Booleans | None = None) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""
         bad = self.bad if saturated is None or not saturated.any() else self.bad | saturated
-        return spline_coefficients(repaired(light, bad) if bad.any() else light, threads=threads)
+        return spline_coefficients(repaired(light, bad) if bad.any() else light)
 
     def cut(self, light: Image) -> Floats:
         """Cut another frame (row, column) into the same windows: (L, width, width)."""
@@ -168,6 +168,16 @@ class ReferenceSubimages:
         farthest_px = np.abs(edge_px).max(axis=(1, 2))
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
+
+    @cached_property
+    def near_bad(self) -> Booleans:
+        """True for lenslets with a bad pixel in or next to their cell, (L,)."""
+        return self.near(self.bad)
+
+    @cached_property
+    def touched_by_bad(self) -> Booleans:
+        """True for lenslets with a bad pixel in their window, (L,)."""
+        return self.touched(self.bad)
 
     def _usable(self) -> Booleans:
         """True for window positions without a bad pixel among the four around them, (L, N)."""

@@ -15,7 +15,7 @@ preserves: the covariance is that of pixels without interpolation. The residual 
 interpolation.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -23,7 +23,8 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import TRANSMISSION_MODES, Displacement, LensletStatus, Transmission
-from reconstruction.frame.spline import noise_power, noise_power_polynomial
+from reconstruction.frame.pixels import repaired
+from reconstruction.frame.spline import noise_power, noise_power_polynomial, shared_coefficients
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, orthogonal_modes
 from reconstruction.registration.gauss_newton._alignment import FrameData
@@ -34,7 +35,6 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     Propagated,
     WorkArrays,
     fit_lenslets,
-    new_counters,
     new_work_arrays,
 )
 from reconstruction.registration.gauss_newton._template import (
@@ -50,6 +50,7 @@ from reconstruction.registration.gauss_newton._template import (
 )
 from reconstruction.registration.response import OwnWavefront, WarpRegistration
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.runtime.counters import new_counters
 from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import THREADS, worker_pool
 from reconstruction.settings import FIELD_MODES, RegistrationSettings
@@ -225,14 +226,17 @@ class GaussNewton:
         tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
         self._limits = FitLimits(tolerance_px.astype(np.float32), poor_square.astype(np.float32))
         # Compile now instead of at the first frame.
-        self._fit(np.zeros((8, 8), np.float32), np.zeros((8, 8), np.bool_), None)
+        dark = np.zeros((8, 8), np.float32)
+        self._fit(dark, dark > 0, np.zeros(len(reference.lit), np.bool_), None, lambda: None)
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:
         """Register a frame; see `displacement.RegistrationMethod`."""
         reference, warp = self.reference, self._warp
-        coefficients = reference.spline(light, saturated=saturated, threads=self._threads)
-        bad = reference.bad | saturated
-        fits = self._fit(coefficients, bad, start)
+        is_saturated = bool(saturated.any())
+        bad = reference.bad | saturated if is_saturated else reference.bad
+        sees_bad = reference.near(bad) if is_saturated else reference.near_bad
+        coefficients, filter_share = shared_coefficients(repaired(light, bad) if bad.any() else light)
+        fits = self._fit(coefficients, bad, sees_bad, start, filter_share)
 
         covariance, chi_square, unexplained, information_left = self._errors(fits)
         found = (fits.step_px < CONVERGED_PX) & (unexplained < self._unexplained)
@@ -249,7 +253,7 @@ class GaussNewton:
             faults={
                 LensletStatus.DIVERGED: ~found,
                 LensletStatus.LEFT_CELL: spoilt,
-                LensletStatus.DARK: spoilt & reference.touched(reference.bad),
+                LensletStatus.DARK: spoilt & reference.touched_by_bad,
                 LensletStatus.SATURATED: spoilt & reference.touched(saturated),
             },
         )
@@ -280,8 +284,18 @@ class GaussNewton:
         """See `response.WarpRegistration`. A warp of that subimage is found as it is."""
         return respond(self._warp, image, changes, own)
 
-    def _fit(self, coefficients: Image, bad: Booleans, start: Displacement | None) -> Fits:
-        """Fit all lenslets, shared among threads, to a frame given by its spline coefficients."""
+    def _fit(
+        self,
+        coefficients: Image,
+        bad: Booleans,
+        sees_bad: Booleans,
+        start: Displacement | None,
+        filter_share: Callable[[], None],
+    ) -> Fits:
+        """Fit all lenslets, shared among threads, to a frame given by its spline coefficients.
+
+        `filter_share` computes these, in the same threads: handing over twice would take longer than it saves.
+        """
         reference, grid = self.reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(
@@ -298,7 +312,7 @@ class GaussNewton:
         frame = FrameData(
             coefficients=coefficients,
             bad=bad,
-            sees_bad=reference.near(bad),
+            sees_bad=sees_bad,
             center_px=reference.center_px,
             turn=reference.turn[0].astype(np.float32),
             half_cell_px=np.float32(reference.cell_height_px / 2),
@@ -307,6 +321,7 @@ class GaussNewton:
         counters, grids = new_counters(), (self._start.grid, grid)
 
         def share() -> bool:
+            filter_share()
             try:
                 arrays = self._idle_arrays.pop()
             except IndexError:

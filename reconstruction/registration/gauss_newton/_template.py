@@ -39,6 +39,7 @@ LINEAR_TERMS, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
 _CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter
+_DECIMALS = 12  # of the terms of a polynomial, which are of the order of 1
 _AT_ONCE = 32  # lenslets at a time, whose arrays fit into the processor's cache
 # Standard error over the least one, of a displacement that the reference hardly shows.
 _BLIND = 6.0
@@ -297,7 +298,7 @@ def _monomials(modes: PolynomialModes, basis: Floats) -> Image:
     u, v = (grid.ravel() for grid in np.meshgrid(np.linspace(-1, 1, 7), np.linspace(-1, 1, 7)))
     powers = np.stack([u**m * v**n for m, n in MONOMIALS])
     values = modes.values(u, v)
-    monomials = values @ np.linalg.pinv(powers)
+    monomials = np.round(values @ np.linalg.pinv(powers), _DECIMALS)  # what is no term is 0
     require({"the field modes of a warp must be quartic at most": bool(np.allclose(monomials @ powers, values))})
     return (basis.reshape(-1, 2, modes.count) @ monomials).astype(np.float32)
 

@@ -105,6 +105,19 @@ def warp_value(p: Image | Terms, u: np.float32, v: np.float32) -> np.float32:
 
 
 @inlined
+def _is_quadratic(p: Terms) -> bool:
+    """True if the terms of higher degree are 0."""
+    return bool(p[6] == p[7] == p[8] == p[9] == p[10] == p[11] == p[12] == p[13] == p[14] == 0)
+
+
+@inlined
+def _quadratic_value(p: Terms, u: np.float32, v: np.float32) -> np.float32:
+    """Value of a quadratic polynomial at (u, v)."""
+    value: np.float32 = p[0] + v * (p[2] + v * p[5]) + u * (p[1] + v * p[4] + u * p[3])
+    return value
+
+
+@inlined
 def _slopes(p: Terms, u: np.float32, v: np.float32) -> tuple[np.float32, np.float32]:
     """Derivatives of a polynomial with respect to u and v."""
     along = p[1] + v * (p[4] + v * (p[8] + v * p[13]))
@@ -150,9 +163,14 @@ def sample_warped(
     placed[0, 0] += np.float32(center_px[0])
     placed[1, 0] += np.float32(center_px[1])
     p, q = _terms(placed[0]), _terms(placed[1])
-    for n in range(x.size):
-        x[n] = min(max(warp_value(p, window.u[n], window.v[n]), _ONE), last_x)
-        y[n] = min(max(warp_value(q, window.u[n], window.v[n]), _ONE), last_y)
+    if _is_quadratic(p) and _is_quadratic(q):
+        for n in range(x.size):
+            x[n] = min(max(_quadratic_value(p, window.u[n], window.v[n]), _ONE), last_x)
+            y[n] = min(max(_quadratic_value(q, window.u[n], window.v[n]), _ONE), last_y)
+    else:
+        for n in range(x.size):
+            x[n] = min(max(warp_value(p, window.u[n], window.v[n]), _ONE), last_x)
+            y[n] = min(max(warp_value(q, window.u[n], window.v[n]), _ONE), last_y)
     if scale[1] > 0:
         p, q = _terms(warp[0]), _terms(warp[1])
         for n in range(x.size):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from scipy import ndimage
 
-from reconstruction.frame.spline import interpolate, interpolate_evenly, spline_coefficients
+from reconstruction.frame.spline import interpolate, interpolate_evenly, shared_coefficients, spline_coefficients
 from reconstruction.registration.gauss_newton._warped_sampling import new_scratch, sample_warped, window_of
 
 
@@ -92,4 +94,19 @@ def test_compiled_warp_sampling_matches_scipy_and_determinant() -> None:
 @pytest.mark.parametrize("threads", [2, 3])
 def test_coefficients_do_not_depend_on_threads(threads: int) -> None:
     image = np.random.default_rng(5).normal(100, 30, (1001, 803)).astype(np.float32)
-    np.testing.assert_array_equal(spline_coefficients(image, threads=threads), spline_coefficients(image))
+    coefficients, share = shared_coefficients(image)
+    with ThreadPoolExecutor(threads) as pool:
+        for each in [pool.submit(share) for _ in range(threads)]:
+            each.result()
+    np.testing.assert_array_equal(coefficients, spline_coefficients(image))
+
+
+def test_interrupted_thread_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    image = np.random.default_rng(5).normal(100, 30, (301, 203)).astype(np.float32)
+    expected = spline_coefficients(image)
+    counters = iter([np.array([1, 0]), np.zeros(2, np.int64)])  # another thread has taken the first strip
+    monkeypatch.setattr("reconstruction.frame.spline.new_counters", lambda: next(counters))
+    coefficients, share = shared_coefficients(image)
+    coefficients[:] = np.nan
+    share()
+    np.testing.assert_array_equal(coefficients, expected)
