@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import OrderedDict
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -91,6 +91,7 @@ class SimulatedCamera(Camera):
         self._starts = 0
         self._states: OrderedDict[int, int | None] = OrderedDict()
         # While a frame is used, the next one is computed as if nothing changed: a real camera takes no time of ours.
+        self._ahead = ThreadPoolExecutor(1, "detector")
         self._expected: Future[tuple[_Shot, NDArray[np.uint16]]] | None = None
         self._noisy: OrderedDict[object, tuple[_Shot, NDArray[np.uint16]]] = OrderedDict()  # repeated frames
 
@@ -191,7 +192,7 @@ class SimulatedCamera(Camera):
 
     def _close(self) -> None:
         self._runs = []
-        self._detector.close()
+        self._ahead.shutdown()
 
     def _move_into_ranges(self) -> None:
         allowed = self._read_capabilities()
@@ -247,17 +248,16 @@ class SimulatedCamera(Camera):
         expected = self._expected.result() if self._expected else None
         pixels = expected[1] if expected and expected[0].is_same(shot) else self._computed(shot)
         run = self._run_of(index + 1)
-        self._expected = self._detector.begin(lambda: self._computed_ahead(run, index + 1))
+        self._expected = self._ahead.submit(self._computed_ahead, run, index + 1)
         return pixels
-
-    def _computed_ahead(self, run: _Run, index: int) -> tuple[_Shot, NDArray[np.uint16]]:
-        shot = self._shot(run, index, self._bench.expected)
-        image, dose = shot.light()
-        return shot, self._detector.counts_here(image, shot.exposure, dose=dose)
 
     def _computed(self, shot: _Shot) -> NDArray[np.uint16]:
         image, dose = shot.light()
         return self._detector.counts(image, shot.exposure, dose=dose)
+
+    def _computed_ahead(self, run: _Run, index: int) -> tuple[_Shot, NDArray[np.uint16]]:
+        shot = self._shot(run, index, self._bench.expected)
+        return shot, self._computed(shot)
 
     def _repeated(self, shot: _Shot) -> NDArray[np.uint16]:
         """Copy of the frame that is the same, which is computed the first time."""

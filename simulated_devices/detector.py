@@ -2,31 +2,25 @@
 
 photons -> quantum efficiency, shot noise, dark current and clock-induced charge -> full well -> multiplication
 register, when its gain is above 1 -> nonlinearity -> read noise -> offset -> converter.
-The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on threads or on the frames
+The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on the frames
 before it. Large numbers of electrons follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate
 with the right mean, variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
 Where nothing between shot noise and read noise is nonlinear, one deviate stands for both: their cumulants add up.
 """
 
 import math
-from collections.abc import Callable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from threading import Thread
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
 from reconstruction.arrays import Image
-from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.settings import Amplifier, SimulatedCameraSettings
-
-T = TypeVar("T")
 
 _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 _MIX_1 = np.uint64(0xBF58476D1CE4E5B9)
@@ -42,12 +36,10 @@ _QUANTILE = special.ndtri(np.concatenate([[0.5 / _CELLS], np.arange(1, _CELLS) /
 )
 
 _INVERSION_LIMIT = 6.0  # mean electrons up to which Poisson is drawn exactly; beyond, it is right to 0.1 %
-_COMPOUND_LIMIT = 50.0  # mean electrons from which shot noise and register are one expansion, right to 0.1 %
 _MOST_SKEWNESS, _MOST_EXCESS = np.float32(0.3 / 6), np.float32(0.15 / 24)
 """Of all noise, with the factors of the expansion, up to which it is one expansion, right to 0.1 %."""
 _NUMBERS = tuple(np.float32(number) for number in (0, 1, 2, 3, 5))
 _FEW = 4.0  # electrons up to which the register's gamma deviate is a product of uniform ones
-_RECIPROCAL = 1.0 / np.maximum(np.arange(101.0), 1.0)  # a division is the slow part of the inversion
 
 
 @compiled
@@ -138,7 +130,7 @@ def poisson(mean: float, z: float, bits: np.uint64) -> float:
     count = 0
     while u > total and count < 100:
         count += 1
-        term *= mean * _RECIPROCAL[count]
+        term *= mean / count
         total += term
     return float(count)
 
@@ -191,14 +183,10 @@ def _moments(em_gain: float) -> tuple[float, float, float]:
 @compiled
 def _expose_pixel(mean: float, bits: np.uint64, chip: Chip) -> np.uint16:
     """Counts of a pixel from its mean electrons, step by step."""
-    em_gain, z = float(chip.em_gain), normal(bits)
-    if em_gain > 1 and _COMPOUND_LIMIT < mean < chip.full_well_e / 2:  # shot noise and register are one expansion
-        variance, third, _ = _moments(em_gain)
-        electrons = mean * em_gain + math.sqrt(mean * variance) * z + third / (6 * variance) * (z * z - 1)
-    else:
-        electrons = min(poisson(mean, z, bits), float(chip.full_well_e))
-        if em_gain > 1 and electrons > 0:
-            electrons = multiplied(electrons, em_gain, splitmix64(bits))
+    em_gain = float(chip.em_gain)
+    electrons = min(poisson(mean, normal(bits), bits), float(chip.full_well_e))
+    if em_gain > 1 and electrons > 0:
+        electrons = multiplied(electrons, em_gain, splitmix64(bits))
     signal = min(electrons, float(chip.register_full_well_e if em_gain > 1 else chip.full_well_e))
     signal -= chip.loss_per_e * signal * signal
     value = (signal + chip.read_noise_e * normal(bits >> _32)) * chip.counts_per_e + chip.offset_counts
@@ -206,10 +194,8 @@ def _expose_pixel(mean: float, bits: np.uint64, chip: Chip) -> np.uint16:
 
 
 @compiled
-def expose_rows(
-    image: Image, dose: np.float32, key: np.uint64, chip: Chip, rows: tuple[int, int], counts: NDArray[np.uint16]
-) -> None:
-    """Fill rows from the first to before the second of `counts`, (row, column), from mean photons, `image` x `dose`.
+def expose_rows(image: Image, dose: np.float32, key: np.uint64, chip: Chip, counts: NDArray[np.uint16]) -> None:
+    """Fill `counts`, (row, column), from mean photons, `image` x `dose`.
 
     The loop over a row is in single precision, for as many pixels at a time as possible.
     """
@@ -223,7 +209,7 @@ def expose_rows(
         highest = zero  # step by step
     means, deviates = np.empty(columns, np.float32), np.empty(columns, np.float32)
     bits, in_tail = np.empty(columns, np.uint32), np.empty(columns + 1, np.int64)
-    for row in range(rows[0], rows[1]):
+    for row in range(len(image)):
         _fill_normal(row * columns, key, deviates, bits, in_tail)
         others = 0
         for column in range(columns):
@@ -260,49 +246,16 @@ class FrameConditions:
 
 
 class Detector:
-    """The sensor chip and its read-out; two threads share the rows of a frame."""
+    """The sensor chip and its read-out."""
 
     def __init__(self, settings: SimulatedCameraSettings, *, seed: int) -> None:
         self._settings = settings
         self._seed = seed
-        self._pool = ThreadPoolExecutor(THREADS, thread_name_prefix="detector")
-
-    def close(self) -> None:
-        """End the threads."""
-        self._pool.shutdown()
 
     def counts(
         self, image: NDArray[np.float32], exposure: FrameConditions, *, dose: np.float32 = _NUMBERS[1]
     ) -> NDArray[np.uint16]:
-        """Counts of one frame, (row, column), from the mean photons on each pixel during it: `image` x `dose`."""
-        edges = [len(image) * part // THREADS for part in range(THREADS + 1)]
-        counts = np.empty(image.shape, np.uint16)
-        jobs = [self._pool.submit(self._expose, image, dose, exposure, rows, counts) for rows in pairwise(edges)]
-        for job in jobs:
-            job.result()
-        return counts
-
-    def counts_here(
-        self, image: NDArray[np.float32], exposure: FrameConditions, *, dose: np.float32
-    ) -> NDArray[np.uint16]:
-        """As `counts`, in the calling thread."""
-        counts = np.empty(image.shape, np.uint16)
-        self._expose(image, dose, exposure, (0, len(image)), counts)
-        return counts
-
-    def begin(self, work: Callable[[], T]) -> Future[T]:
-        """Begin some work in one of the threads."""
-        return self._pool.submit(work)
-
-    def _expose(
-        self,
-        image: NDArray[np.float32],
-        dose: np.float32,
-        exposure: FrameConditions,
-        rows: tuple[int, int],
-        counts: NDArray[np.uint16],
-    ) -> None:
-        """Fill rows of the counts; see `expose_rows`."""
+        """Counts of one frame, (row, column), from the mean photons on each pixel during it, `image` x `dose`."""
         settings, is_em = self._settings, exposure.amplifier == "em"
         background_e = settings.dark_current_e_per_s * exposure.exposure_s + settings.clock_induced_charge_e
         read_noise_e = settings.em_read_noise_e[exposure.readout_speed - 1] if is_em else settings.normal_read_noise_e
@@ -320,7 +273,9 @@ class Detector:
         )
         hashed_seed = int(splitmix64(np.uint64(self._seed)))  # Numba returns it as Python's integer
         key = np.uint64(splitmix64(np.uint64((hashed_seed + exposure.index) % 2**64)))
-        expose_rows(image, dose, key, Chip._make(map(np.float32, chip)), rows, counts)
+        counts = np.empty(image.shape, np.uint16)
+        expose_rows(image, dose, key, Chip._make(map(np.float32, chip)), counts)
+        return counts
 
 
 @cache
@@ -328,9 +283,7 @@ def compile_ahead() -> None:
     """Begin to compile the detector in a thread of its own, beside the rendering of the first images."""
 
     def expose() -> None:
-        detector = Detector(SimulatedCameraSettings(), seed=0)
         exposure = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)
-        detector.counts_here(np.zeros((1, 1), np.float32), exposure, dose=np.float32(1))
-        detector.close()
+        Detector(SimulatedCameraSettings(), seed=0).counts(np.zeros((1, 1), np.float32), exposure)
 
     Thread(target=expose, name="compile-detector", daemon=True).start()

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any, NamedTuple
@@ -140,9 +139,8 @@ class EmCamera:
     def exposed(self, electrons: Image, seed: int, index: int) -> Image:
         """Counts above the offset of one noisy frame of an image (row, column), electrons."""
         settings = self.settings
-        with closing(Detector(settings, seed=seed)) as detector:
-            photons = electrons / np.float32(settings.quantum_efficiency)
-            counts = detector.counts(photons, exposure_of(settings, index))
+        photons = electrons / np.float32(settings.quantum_efficiency)
+        counts = Detector(settings, seed=seed).counts(photons, exposure_of(settings, index))
         return np.asarray(counts - np.float32(settings.offset_counts), np.float32)
 
     def linearity(self, electrons: Image, seed: int) -> Linearity:

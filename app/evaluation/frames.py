@@ -1,7 +1,6 @@
 """Frames of the simulated bench with their true wavefronts: noise-free ones, and its camera's."""
 
 from collections.abc import Callable
-from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -165,18 +164,18 @@ def simulate(bench: Bench, frames: int = 1, *, noise_free: bool = False) -> Simu
     truth = np.stack([state.truth for state in states]) if is_moving else states[0].truth
     if noise_free:
         return SimulatedFrames(reference, np.zeros_like(reference), np.stack(light), truth)
-    with closing(Detector(camera, seed=bench.simulation.seed)) as detector:
+    detector = Detector(camera, seed=bench.simulation.seed)
 
-        def counts(photons: Image, index: int) -> NDArray[np.uint16]:
-            return detector.counts(photons, exposure_of(camera, index))
+    def counts(photons: Image, index: int) -> NDArray[np.uint16]:
+        return detector.counts(photons, exposure_of(camera, index))
 
-        def mean(photons: Image, first: int) -> Image:
-            total = sum(counts(photons, first + index).astype(np.float64) for index in range(FRAMES))
-            return np.asarray(total / FRAMES, np.float32)
+    def mean(photons: Image, first: int) -> Image:
+        total = sum(counts(photons, first + index).astype(np.float64) for index in range(FRAMES))
+        return np.asarray(total / FRAMES, np.float32)
 
-        return SimulatedFrames(
-            reference=mean(reference, FRAMES),
-            dark=mean(np.zeros_like(reference), 0),
-            frames=np.stack([counts(photons, 2 * FRAMES + index) for index, photons in enumerate(light)]),
-            truth=truth,
-        )
+    return SimulatedFrames(
+        reference=mean(reference, FRAMES),
+        dark=mean(np.zeros_like(reference), 0),
+        frames=np.stack([counts(photons, 2 * FRAMES + index) for index, photons in enumerate(light)]),
+        truth=truth,
+    )

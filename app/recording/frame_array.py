@@ -24,7 +24,7 @@ from app.recording.folder import PIXELS
 
 METADATA = "zarr.json"  # in the folder of an array or group
 HINT = "svwfs recover lists the readable frames"  # of what is damaged
-_STEP = 4096  # frames by which an array grows
+_LENGTH = 1 << 20  # of an unfinished array, frames
 _FRAMES_IN_CHUNK, _CHUNK_BYTES = 16, 8 << 20  # at most; a new file takes as long as writing 1 MB
 _WRITE = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
 _TYPES = ("uint16", "float32", "float64")  # of pixels and results
@@ -53,7 +53,7 @@ class FrameArray:
         check_readable(path / METADATA)
         try:
             self._metadata = json.loads((path / METADATA).read_text("utf-8"))
-            self.length, *shape = (int(count) for count in self._metadata["shape"])
+            _, *shape = map(int, self._metadata["shape"])
             self._in_chunk, *chunk_shape = map(int, self._metadata["chunk_grid"]["configuration"]["chunk_shape"])
             self._type = np.dtype(self._metadata["data_type"]).newbyteorder("<")
             self._separator = str(self._metadata["chunk_key_encoding"]["configuration"]["separator"])
@@ -85,7 +85,7 @@ class FrameArray:
         _write_metadata(
             store / name,
             {
-                "shape": [_STEP, *values.shape],
+                "shape": [_LENGTH, *values.shape],
                 "data_type": values.dtype.name,
                 "chunk_grid": {"name": "regular", "configuration": {"chunk_shape": [in_chunk, *values.shape]}},
                 "chunk_key_encoding": {"name": "default", "configuration": {"separator": separator}},
@@ -103,11 +103,9 @@ class FrameArray:
         return cls(store / name)
 
     def write(self, index: int, values: NDArray[Any]) -> int:
-        """Write the values of one frame, of `shape`, growing if necessary; return the number of bytes."""
+        """Write the values of one frame, of `shape`; return the number of bytes."""
         if values.shape != self.shape:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
-        if index >= self.length:
-            self.set_length((index // _STEP + 1) * _STEP)
         number, place = divmod(index, self._in_chunk)
         if number != self._number or self._file < 0:
             self._open(number)
@@ -157,16 +155,11 @@ class FrameArray:
             return False
         return (place + 1) * self._bytes <= size <= self._in_chunk * self._bytes
 
-    def set_length(self, length: int) -> None:
-        """Change the length in the metadata; chunks stay."""
-        self._metadata["shape"][0] = length
-        write_whole(self._path / METADATA, json.dumps(self._metadata, indent=2))
-        self.length = length
-
     def finish(self, length: int) -> None:
         """Set the length and fill up the chunks: with missing frames up to the length, beyond it with zeros."""
         self.close()
-        self.set_length(length)
+        self._metadata["shape"][0] = length
+        _write_metadata(self._path, self._metadata)
         whole = self._in_chunk * self._bytes
         chunks = self._path.glob(f"c{self._separator}*{self._separator}{self._last}") if self._in_chunk > 1 else ()
         for chunk in chunks:

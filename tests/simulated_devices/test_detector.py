@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -31,10 +30,8 @@ PIXELS = SHAPE[0] * SHAPE[1]
 
 
 @pytest.fixture
-def bare() -> Iterator[Detector]:
-    detector = Detector(BARE, seed=11)
-    yield detector
-    detector.close()
+def bare() -> Detector:
+    return Detector(BARE, seed=11)
 
 
 def flat(photons: float) -> NDArray[np.float32]:
@@ -44,7 +41,6 @@ def flat(photons: float) -> NDArray[np.float32]:
 def counts_with(photons: float, exposure: FrameConditions = NORMAL, **settings: float) -> NDArray[np.float64]:
     detector = Detector(replace(BARE, **settings), seed=3)  # type: ignore[arg-type] # settings by name
     counts = detector.counts(flat(photons), exposure)
-    detector.close()
     return counts.astype(np.float64)
 
 
@@ -83,7 +79,6 @@ def test_each_amplifier_has_its_read_noise_and_offset(amplifier: str, noise: flo
     detector = Detector(settings, seed=5)
     exposure = replace(NORMAL, amplifier=amplifier)  # type: ignore[arg-type] # both literals, from parametrize
     counts = detector.counts(flat(0.0), exposure).astype(float).ravel()
-    detector.close()
     assert counts.mean() == pytest.approx(500.0, abs=5 * noise / math.sqrt(PIXELS))
     assert counts.std() == pytest.approx(math.hypot(noise, math.sqrt(1 / 12)), rel=0.01)
     even = counts + np.random.default_rng(0).uniform(-0.5, 0.5, PIXELS)
@@ -159,7 +154,6 @@ def test_frame_depends_only_on_seed_and_index(bare: Detector) -> None:
     seeded = Detector(BARE, seed=12)
     assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.01
     assert abs(np.corrcoef(first.ravel(), seeded.counts(photons, NORMAL).ravel())[0, 1]) < 0.01
-    seeded.close()
     assert abs(np.corrcoef(first[:, 1:].ravel(), first[:, :-1].ravel())[0, 1]) < 0.01
     assert (photons == 50).all()
 

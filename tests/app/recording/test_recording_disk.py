@@ -109,7 +109,7 @@ def test_recover_finishes_after_a_disk_without_any_space(
         time.sleep(0.005)
     with monkeypatch.context() as broken:
         broken.setattr(FrameArray, "write", fail)
-        broken.setattr(FrameArray, "set_length", fail_to_finish)
+        broken.setattr(FrameArray, "finish", fail_to_finish)
         recording.take(make_record(4, calibration))
         state = wait(recording, {"ended early"})
     assert state.problem == "the disk: cannot be written: Input/output error"

@@ -40,7 +40,6 @@ def test_photon_transfer_recovers_noise_of_simulated_camera(em_gain: float, fram
         return np.array([detector.counts(photons, exposure) for exposure in exposures], np.float64)
 
     dark, light = stack(np.zeros_like(ramp), 0), stack(ramp, 100)
-    detector.close()
     curve = photon_transfer(
         (light.mean(axis=0) - dark.mean(axis=0)).astype(np.float32),
         light.var(axis=0, ddof=1).astype(np.float32),
