@@ -78,7 +78,9 @@ class Acquisition(Commands):
         self._recorder = Recorder(self.timings)
         self._publisher = publisher or Publisher(bench)
         sinks = (self._recorder.take, *sinks, self._publisher.take)
-        self._path = FramePath(sinks, self.timings, self._must_stop_waiting, self._publisher.show)
+        self._path = FramePath(
+            sinks, self.timings, self._must_stop_waiting, partial(self._publisher.take, is_shown_only=True)
+        )
         self.status: Status | None = None  # None until the devices are open
         self._status_due_s = -math.inf  # time of the next poll
         self._activity = Activity("opening the devices")

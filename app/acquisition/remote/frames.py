@@ -7,7 +7,7 @@ from the pixels if the instrument does not answer.
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future
 from contextlib import closing
 from dataclasses import replace
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.acquisition.serialization import unpacked_frame
-from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, Modes, NewFrame, OwnFacts
+from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, SHARED, NewFrame, OwnFacts
 from app.acquisition.streams.ring import RingReader
 from app.errors import RunError
 from app.measurement.calibration import Calibration
@@ -36,7 +36,6 @@ from reconstruction.wavefront import Solution, Wavefront
 
 _WAIT_S = 0.1
 _ANSWER_S = 2.0  # for a detail; then it is computed here
-_SHARED = 8  # objects kept
 _REPLACED_S = 3.0  # for the notice of the next ring, after one could not be opened
 
 Ask: TypeAlias = Callable[[str, int], Future[Any]]
@@ -135,21 +134,21 @@ class RemoteFrames:
         count, body = found
         facts, arrays = unpacked_frame(body)
         try:
-            calibration, modes = (None if each is None else self._object(each) for each in facts[2:4])
+            calibration, *modes = (None if each is None else self._object(each) for each in facts[2:])
         except (RunError, DeviceError, TimeoutError):  # the instrument stands still, or ends
             return None
         follower.count = count
         made = replace(facts.measurement, calibration=calibration)
-        if calibration is None or modes is None:
+        if calibration is None or modes[0] is None:
             return facts, made
-        return facts, _with_wavefront(made, calibration, facts, modes, arrays, lambda name: self._ask(name, count))
+        return facts, _with_wavefront(made, calibration, modes, arrays, lambda name: self._ask(name, count))
 
     def _object(self, number: int) -> Any:
         """Return a shared object, which the first call asks for."""
         with self._asking:
             if number not in self._shared:
                 self._shared[number] = self._ask("object", number).result(_ANSWER_S)
-                if len(self._shared) > _SHARED:
+                if len(self._shared) > SHARED:
                     del self._shared[min(self._shared)]
             return self._shared[number]
 
@@ -157,8 +156,7 @@ class RemoteFrames:
 def _with_wavefront(
     made: Measurement,
     calibration: Calibration,
-    facts: OwnFacts,
-    modes: Modes,
+    modes: Iterable[Any],
     arrays: dict[str, NDArray[Any]],
     ask: Callable[[str], Future[Any]],
 ) -> Measurement:
@@ -175,25 +173,28 @@ def _with_wavefront(
         return Deferred(find)
 
     sensor, bias = calibration.bench.sensor, made.assumed.refinement.bias
+    field_modes, pupil_modes, parameters = modes
+    of_lenslets: dict[str, Any] = {name: arrays[name] for name in OF_LENSLETS}
     registered = Displacement(
-        modes.field,
+        field_modes,
         arrays["displacement"],
         detail("covariance"),
-        **{name: arrays[name] for name in OF_LENSLETS},
-        transmission_source=detail("transmission") if facts.has_transmission else None,
+        **of_lenslets,
+        transmission_source=detail("transmission"),
     )
     displacement = registered if bias is None else registered.minus(bias)
     solution: Solution
-    if modes.pupil is not None and modes.parameters is not None:
-        known, root_covariance = _known(modes.pupil, arrays["known"].tobytes()), detail("root_covariance")
+    if pupil_modes is not None:
+        known, root = _known(pupil_modes, arrays["known"].tobytes()), detail("root_covariance")
+        freedom, noise = arrays["freedom_and_noise"].tolist()
         solution = ModalSolution(
             coefficients=arrays["coefficients"],
             _known=known,
-            _deviations=Deferred(lambda: _deviations(root_covariance(), known)),
-            noise=facts.noise,
-            freedom=facts.freedom,
+            _deviations=Deferred(lambda: _deviations(root(), known)),
+            noise=noise,
+            freedom=freedom,
             _displacement=displacement,
-            parameters=modes.parameters,
+            parameters=parameters,
             fitted=detail("fitted"),
         )
     else:
@@ -206,8 +207,7 @@ def _with_wavefront(
             weights=arrays.get("weights"),
             slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
         )
-    sample = made.assumed.sample or FREE
-    field, views = calibration.bench.field, arrays["wavefront"]
+    sample, field, views = made.assumed.sample or FREE, calibration.bench.field, arrays["wavefront"]
     wavefront = Wavefront(sensor, field, displacement, solution, views, sample, detail("sigma"))
     return replace(made, registered=registered, wavefront=wavefront)
 
@@ -217,10 +217,9 @@ def _known(modes: PupilModes, lenslets: bytes) -> KnownModes:
     return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
 
 
-def _deviations(root_covariance: Image, known: KnownModes) -> Deviations:
+def _deviations(root: Image, known: KnownModes) -> Deviations:
     """Take the root of the covariance as components that deviate by 1."""
-    others = np.empty((*root_covariance.shape[:2], 0), np.float32)
-    return Deviations(Spread(root_covariance, known, []), np.ones(root_covariance.shape[2], np.float32), others)
+    return Deviations(Spread(root, known, []), np.ones(root.shape[2], np.float32), root[..., :0])
 
 
 def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:

@@ -17,9 +17,6 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from reconstruction.arrays import Floats
-from reconstruction.modes.field_modes import FieldModes
-from reconstruction.modes.pupil_modes import PupilModes
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
@@ -29,7 +26,7 @@ _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 _MODES = ("pupil_mode", "field_mode")
 _VECTORS = (*_LENSLET, "field_mode", "xy")
-_SHARED = 8  # objects kept for clients; in use are two or three
+SHARED = 16  # objects kept for clients; four belong to a calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,39 +37,21 @@ class NewFrame:
     count: int
 
 
-class Modes(NamedTuple):
-    """What the wavefronts of one reconstruction have in common besides their calibration."""
-
-    field: FieldModes
-    pupil: PupilModes | None  # None of a zonal wavefront, as the parameters
-    parameters: Floats | None  # of the lenslets' warps, (K, 2Q)
-
-
 class SharedObjects:
     """Numbers the large objects that many frames share: a client asks for each once."""
 
     def __init__(self) -> None:
-        self._objects, self._last, self._modes = dict[int, Any](), 0, list[Modes]()
+        self._objects, self._last = dict[int, Any](), 0
 
-    def number(self, shared: object) -> int:
-        """Return the number of an object."""
+    def number(self, shared: object) -> int | None:
+        """Return the number of an object; None for None."""
         known = next((number for number, each in self._objects.items() if each is shared), None)
-        if known is not None:
+        if shared is None or known is not None:
             return known
         self._last += 1
         self._objects[self._last] = shared
-        self._objects.pop(self._last - _SHARED, None)
+        self._objects.pop(self._last - SHARED, None)
         return self._last
-
-    def modes_number(self, wavefront: Wavefront) -> int:
-        """Return the number of a wavefront's modes."""
-        solution, field = wavefront.solution, wavefront.displacement.modes
-        pupil, parameters = None, None
-        if isinstance(solution, ModalSolution):
-            pupil, parameters = solution.modes, solution.parameters
-        if not self._modes or self._modes[0].field is not field or self._modes[0].pupil is not pupil:
-            self._modes = [Modes(field, pupil, parameters)]
-        return self.number(self._modes[0])
 
     def get(self, number: int) -> Any:
         """Return the object of a number; `RunError` if it is too old."""
@@ -86,11 +65,10 @@ class OwnFacts(NamedTuple):
 
     measurement: Measurement  # without what is in arrays and shared objects
     is_shown_only: bool  # a routine's frame
-    calibration: int | None  # number of the shared object
-    modes: int | None  # number; None without a wavefront
-    freedom: float  # of a modal wavefront, as the noise
-    noise: float
-    has_transmission: bool
+    calibration: int | None  # number of the shared object, as the rest
+    field_modes: int | None = None  # None without a wavefront
+    pupil_modes: int | None = None  # None of a zonal wavefront
+    parameters: int | None = None  # of the lenslets' warps, (K, 2Q)
 
 
 OF_LENSLETS = ("outcome", "residual_rms", "chi_square", "range_used")
@@ -106,33 +84,24 @@ DETAILS: dict[str, Callable[[Any], Any]] = {
 
 def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_only: bool) -> Message:
     """Return the message for clients of the instrument: arrays of all topics, and the pixels."""
-    calibration, wavefront, registered = measurement.calibration, measurement.wavefront, measurement.registered
-    modes, labelled = None, list[Labelled]()
-    freedom = noise = math.nan
-    has_transmission = False
+    lean = replace(measurement, wavefront=None, registered=None, calibration=None)
+    facts = OwnFacts(lean, is_shown_only, shared.number(measurement.calibration))
+    wavefront, registered, labelled = measurement.wavefront, measurement.registered, list[Labelled]()
     if wavefront is not None and registered is not None:
-        solution, modes = wavefront.solution, shared.modes_number(wavefront)
-        has_transmission = registered.transmission_source is not None
+        solution, facts = wavefront.solution, facts._replace(field_modes=shared.number(registered.modes))
         labelled = [
             ("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
             ("displacement", _VECTORS, "px", registered.coefficients),
             *((name, _LENSLET, "1", getattr(registered, name)) for name in OF_LENSLETS),
         ]
         if isinstance(solution, ModalSolution):
-            freedom, noise = solution.freedom, solution.noise
+            pupil_modes, parameters = map(shared.number, (solution.modes, solution.parameters))
+            facts = facts._replace(pupil_modes=pupil_modes, parameters=parameters)
             labelled.append(("coefficients", _MODES, "rad", solution.coefficients))
             labelled.append(("known", _LENSLET, "1", solution.known))
+            labelled.append(("freedom_and_noise", ("of_fit",), "1", np.array([solution.freedom, solution.noise])))
         elif solution.weights is not None:
             labelled.append(("weights", _LENSLET, "1", solution.weights))
-    facts = OwnFacts(
-        replace(measurement, wavefront=None, registered=None, calibration=None),
-        is_shown_only,
-        None if calibration is None else shared.number(calibration),
-        modes,
-        freedom,
-        noise,
-        has_transmission,
-    )
     return Message({"format": FORMAT, "value": facts}, labelled)
 
 

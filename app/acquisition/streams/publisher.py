@@ -63,7 +63,8 @@ class Publisher:
         """Write a ring if a `ring_file` names it where memory needs a name; `notify` follows each record."""
         self._bench, self._ring_file, self._notify = bench, ring_file, notify
         self._pause_s = math.inf  # of the client that reads most often
-        self._sequence = self._count = 0
+        self._sequence = 0
+        self.count = 0  # of the measurements that clients may read
         self._waiting, self._unwritten = deque[_Taken](maxlen=_WAITING), list[_Taken]()
         self._asked = deque[tuple[Future[Any], str, int]]()
         self._written_s = -math.inf
@@ -75,26 +76,17 @@ class Publisher:
         self.newest = NewFrame("", 0)
         self.error: Exception | None = None  # that ended the thread
 
-    @property
-    def count(self) -> int:
-        """Number of measurements so far that clients may read."""
-        return self._count
-
     def take(self, measurement: Measurement, *, is_shown_only: bool = False) -> None:
-        """Publish a measurement; returns at once."""
+        """Publish a measurement, or a routine's frame, which clients only show; returns at once."""
         self._sequence += 1
-        self._count += not measurement.is_skipped
+        self.count += not measurement.is_skipped
         if not (is_taken := bool(self._subscriptions) or math.isfinite(self._pause_s)):
             self._waiting.clear()  # but for the newest: a client may come
         was_empty = not self._waiting
-        count = 0 if measurement.is_skipped else self._count
+        count = 0 if measurement.is_skipped else self.count
         self._waiting.append(_Taken(self._sequence, count, measurement, is_shown_only))
         if is_taken and (was_empty or self._subscriptions or self._pause_s == 0):
             self._wakeup.notify()
-
-    def show(self, measurement: Measurement) -> None:
-        """Publish a routine's frame, which clients only show."""
-        self.take(measurement, is_shown_only=True)
 
     def read_every(self, pause_s: float) -> None:
         """Write as often as the fastest client reads, every `pause_s`; all measurements if 0, none if infinite."""
@@ -197,14 +189,14 @@ class Publisher:
 
     def _answer(self, future: Future[Any], name: str, number: int) -> None:
         try:
-            future.set_result(self._shared.get(number) if name == "object" else self._detail_of(name, number))
+            if name == "object":
+                future.set_result(self._shared.get(number))
+            elif (wavefront := self._detailed.get(number)) is not None and name in DETAILS:
+                future.set_result(DETAILS[name](wavefront))
+            else:
+                future.set_exception(RunError(f"there is no {name} of frame {number}"))
         except Exception as error:  # noqa: BLE001 - of this answer alone
             future.set_exception(error)
-
-    def _detail_of(self, name: str, count: int) -> Any:
-        if name not in DETAILS or (wavefront := self._detailed.get(count)) is None:
-            raise RunError(f"there is no {name} of frame {count}")
-        return DETAILS[name](wavefront)
 
     def _send_topics(self, socket: "zmq.Socket[bytes]", taken: _Taken) -> None:
         measurement = taken.measurement

@@ -72,7 +72,7 @@ def send_notices(server: Server, count: int) -> None:
     frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
     for _ in range(count):
         before = server._announced_frame
-        server._frames.show(frame)
+        server._frames.take(frame, is_shown_only=True)
         while server._announced_frame == before:
             time.sleep(0.0005)
 
