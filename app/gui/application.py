@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import cv2
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.address import CLOSING_S
@@ -55,6 +56,7 @@ def run_window(
         A signal such as Ctrl-C closed the window.
     """
     qInstallMessageHandler(_pass_on)
+    cv2.setNumThreads(1)  # one more costs a picture more than it saves
     with loading():
         application = styled_application()
         saved = saved_state() if steps is None else None

@@ -6,7 +6,6 @@ from itertools import chain
 
 import numpy as np
 import pyqtgraph as pg
-import scipy.interpolate  # noqa: F401 - loaded before the first frame, which it would delay
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 
