@@ -252,7 +252,10 @@ def _print_processor_times(span: Span) -> None:
         named = sorted(threads.items(), key=lambda item: (item[0] != "", -item[1]))
         for thread, seconds in named:
             ms = 1e3 * seconds / span.frames.acquired
-            if not thread or ms >= _LEAST_MS:
-                lines.append((f"  {thread}" if thread else process, f"{ms:.2f}", f"{100 * seconds / span.seconds:.1f}"))
+            share = f"{100 * seconds / span.seconds:.1f}"
+            if not thread:
+                lines.append((process, f"{ms:.2f}", share, f"{span.memory_mb[1].get(process, 0.0):.0f}"))
+            elif ms >= _LEAST_MS:
+                lines.append((f"  {thread}", f"{ms:.2f}", share, ""))
     notes = [f"Of it, the simulated camera takes {1e3 * span.camera_s / span.frames.acquired:.2f} ms; a real one none."]
-    terminal.print_table(None, ("processor time", "ms per frame", "% of a core"), lines, notes)
+    terminal.print_table(None, ("processor time", "ms per frame", "% of a core", "MB"), lines, notes)

@@ -133,7 +133,9 @@ class Span:
     seconds: float
     frames: FrameTotals
     times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
-    memory_mb: tuple[float | None, float | None]  # resident, at begin and end of its last seconds
+    memory_mb: tuple[
+        dict[str, float], dict[str, float]
+    ]  # by process, at begin and end of its last seconds; {}: unknown
     processor_s: dict[str, dict[str, float]]  # of each thread by process; "" is all of one; empty if unknown
 
     @property
@@ -151,6 +153,12 @@ class Span:
         """Processor time of the window's process for each redraw; None if unknown."""
         window, redraws = self.processor_s.get(processor_time.WINDOW), self.times["draw"].count
         return window[""] / redraws if window and redraws else None
+
+    @property
+    def total_mb(self) -> tuple[float, float]:
+        """Memory of all processes but the simulated rendering, at begin and end of the last seconds."""
+        begin, end = (sum(each.values()) - each.get(processor_time.RENDERING, 0.0) for each in self.memory_mb)
+        return begin, end
 
     @property
     def camera_s(self) -> float:
@@ -228,8 +236,7 @@ class MeasuredRun(HeadlessRun):
         taken_s = processor_time.processor_times(names)
         end_s = began_s + self._seconds
         yield from wait(end_s - self._memory_s, "measuring")
-        ours = [pid for pid, name in names.items() if name != processor_time.RENDERING]
-        memory_mb = processor_time.resident_mb(ours)
+        memory_mb = processor_time.memory_mb(names)
         yield from wait(end_s, "measuring")
         ended_s, after = time.perf_counter(), acquisition.counts
         times = yield from self.stage_times()
@@ -242,7 +249,7 @@ class MeasuredRun(HeadlessRun):
             seconds=ended_s - began_s,
             frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
             times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
-            memory_mb=(memory_mb, processor_time.resident_mb(ours)),
+            memory_mb=(memory_mb, processor_time.memory_mb(names)),
             processor_s=processor_s,
         )
         if folder is not None:
@@ -290,8 +297,8 @@ class LiveFigures:
     @property
     def memory_growth(self) -> float | None:
         """Relative growth of the memory; None if the system does not report it."""
-        begin_mb, end_mb = self.window.memory_mb
-        return None if begin_mb is None or end_mb is None else end_mb / begin_mb - 1
+        begin_mb, end_mb = self.window.total_mb
+        return end_mb / begin_mb - 1 if begin_mb else None
 
     def lines(self) -> list[tuple[str, str, Limit | None]]:
         """Return name, measured value and limit of every line of the table."""
@@ -328,7 +335,7 @@ class LiveFigures:
         if growth is None:
             add(memory, "unknown on this system")
         else:
-            begin_mb, end_mb = window.memory_mb
+            begin_mb, end_mb = window.total_mb
             add("memory of all processes", f"{end_mb:.0f} MB", "memory_mb", end_mb, le, 1000.0, "<= 1000 MB")
             grown = f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * growth:+.2f} %"
             add(memory, grown, "memory_growth", growth, lt, 0.01, "< 1 %")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -49,13 +50,15 @@ def processor_times(of: Iterable[int]) -> dict[tuple[int, str], float]:
     return seconds
 
 
-def resident_mb(of: Iterable[int]) -> float | None:
-    """Return the resident memory of processes, MB of 2**20 bytes; None if the system does not tell it."""
-    pages = 0
-    for pid in of:
+def memory_mb(of: Mapping[int, str]) -> dict[str, float]:
+    """Return the memory of processes by name, MB of 2**20 bytes, what they share in equal parts (PSS); {}: unknown."""
+    found = dict[str, float]()
+    for pid, name in of.items():
         with suppress(OSError):  # it has just ended
-            pages += int((_PROC / f"{pid}/statm").read_text().split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE") / 2**20 if pages else None
+            shares = re.search(r"^Pss: +(\d+) kB", (_PROC / f"{pid}/smaps_rollup").read_text(), re.MULTILINE)
+            if shares is not None:
+                found[name] = found.get(name, 0.0) + int(shares[1]) / 1024
+    return found
 
 
 def total_s() -> float | None:

@@ -47,7 +47,12 @@ def span_of(
         for _ in range(count):
             timings.note(stage, seconds)  # type: ignore[arg-type] # each is a stage
     frames = FrameTotals(acquired=700, reconstructed=round(10 * rate_hz))
-    how = {"first_wavefront_s": 4.9, "seconds": 10.0, "frames": frames, "memory_mb": (800.0, 806.0)}
+    how = {
+        "first_wavefront_s": 4.9,
+        "seconds": 10.0,
+        "frames": frames,
+        "memory_mb": ({"window": 800.0, "simulated rendering": 400.0}, {"window": 806.0}),
+    }
     how["processor_s"] = {"window": {"": 2.0, "main": 1.0}, "instrument": {"": 3.0, "detector_0": 0.5}}
     return Span(**{"times": timings.summary(), **how, **changes})
 
@@ -78,10 +83,10 @@ def test_good_run_misses_no_limit() -> None:
         ("draw_max_s", span_of(draw_s=0.1)),
         ("redraw_s", span_of(processor_s={"window": {"": 2.5}})),
         ("record_max_s", span_of(written_s=0.1)),
-        ("memory_mb", span_of(memory_mb=(1000.0, 1001.0))),
+        ("memory_mb", span_of(memory_mb=({"window": 1000.0}, {"window": 1001.0}))),
         ("rate_ratio", span_of(frames=FrameTotals(acquired=660, reconstructed=660))),
         ("first_wavefront_s", span_of(first_wavefront_s=5.1)),
-        ("memory_growth", span_of(memory_mb=(800.0, 808.1))),
+        ("memory_growth", span_of(memory_mb=({"window": 800.0}, {"window": 808.1}))),
     ],
 )
 def test_each_limit_is_missed_alone(name: str, window: Span) -> None:
@@ -108,11 +113,11 @@ def test_early_end_of_recording_is_reported(capsys: pytest.CaptureFixture[str]) 
 
 
 def test_empty_run_misses_limits_and_is_valid_json() -> None:
-    empty = span_of(frames=FrameTotals(), times=Timings().summary(), memory_mb=(None, None), processor_s={})
+    empty = span_of(frames=FrameTotals(), times=Timings().summary(), memory_mb=({}, {}), processor_s={})
     figures = replace(figures_of(empty, empty), recording=None)
     names = {line.split()[0] for line in figures.missed()}
     assert names == {"share", "to_result_p99_s", "redrawn_hz", "draw_max_s", "rate_ratio"}
-    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["window"]["memory_mb"] == [None, None]
+    assert json.loads(json.dumps(figures.tree(), allow_nan=False))["live"]["window"]["memory_mb"] == [{}, {}]
     print_figures(figures)
 
 
