@@ -13,7 +13,7 @@ from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import LINEAR, Linearity
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
-from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compilation import compiled, inlined
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
 TOO_BRIGHT = "shorten the exposure or lower the light's current"
@@ -92,40 +92,29 @@ class DarkSubtractor:
             raise ReconstructionError(f"the {name} holds {image.dtype} values: grey counts are needed", image=name)
 
 
+@inlined
+def _light(signal: np.float32, curve: Image) -> np.float32:
+    """Light from the signal; see `Linearity.curve`."""
+    square, cube, highest, end = curve
+    within = min(signal, highest)
+    light: np.float32 = within * (np.float32(1) + within * (square + within * cube)) + (signal - within) * end
+    return light
+
+
 @compiled
 def _subtract(
     image: Counts, dark: Image, curve: Image, least: np.float32, light: Image, saturated: Booleans
 ) -> int:  # `curve` as `Linearity.curve` lists it
     """Subtract the dark, correct the nonlinearity, mark and count pixels of at least so many counts."""
     full: int = 0
-    square, cube, highest, end = curve
     for row in range(image.shape[0]):
         for column in range(image.shape[1]):
             count = np.float32(image[row, column])
             signal = count - dark[row, column]
-            within = min(signal, highest)
-            light[row, column] = within * (np.float32(1) + within * (square + within * cube)) + (signal - within) * end
+            light[row, column] = _light(signal, curve)
             saturated[row, column] = count >= least
             full += int(count >= least)
     return full
-
-
-_SPARSE = 4  # every fourth row and column is sampled
-
-
-@compiled
-def sparse_scatter(light: Image) -> float:
-    """Standard deviation of every fourth pixel along both axes."""
-    count, total = 0, 0.0
-    for row in range(0, light.shape[0], _SPARSE):
-        for column in range(0, light.shape[1], _SPARSE):
-            total += light[row, column]
-            count += 1
-    mean, square = total / count, 0.0
-    for row in range(0, light.shape[0], _SPARSE):
-        for column in range(0, light.shape[1], _SPARSE):
-            square += (light[row, column] - mean) ** 2
-    return math.sqrt(square / count)
 
 
 def _finite(image: Counts, name: str) -> Image:
@@ -164,7 +153,7 @@ def collect(
     counts above the dark, of the samples, and the `sums` over lenslets (2, lenslet): light, and what the gaps have
     more than in the reference.
     """
-    background, (square, cube, highest, end) = camera
+    background, curve = camera
     for lenslet in range(sums.shape[1]):
         pixel, found, signal = samples.pixel[lenslet], counts[lenslet], signals[lenslet]
         good, gap = samples.good[lenslet], samples.gap[lenslet]
@@ -175,9 +164,7 @@ def collect(
         for n in range(found.size):  # in vectors, unlike the loop above
             count = np.float32(found[n])
             above = count - background - dark[n]
-            within = min(above, highest)
-            light = within * (np.float32(1) + within * (square + within * cube)) + (above - within) * end
-            total += good[n] * light
+            total += good[n] * _light(above, curve)
             more += gap[n] * (count - expected[n])
             signal[n] = above
         sums[0, lenslet], sums[1, lenslet] = total, more
