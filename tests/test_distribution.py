@@ -124,6 +124,8 @@ def test_wheel_has_what_it_needs_and_no_tests(wheel: Path) -> None:
         "svwfs/__init__.py",
         "app/docs/window.md",
         "app/docs/window.png",
+        "app/gui/citation.txt",
+        "app/gui/conventions.html",
         "app/gui/svwfs.svg",
         "app/cli/window.py",
     }

@@ -54,7 +54,6 @@ class WavefrontPanel(Panel):
         self._newest: Wavefront | None = None  # as measured
         self._display = WavefrontDisplay()
         self._numbers: ViewNumbers | None = None  # of the maps in the grid, or of some before them
-        self._written: tuple[object, ...] = ()  # what captions and summary were written for
         self._limits = {(one.family, unit): AdaptiveScale() for one in PRESENTATIONS.values() for unit in Unit}
         self._reach_mrad = AdaptiveScale()  # half width of PSF maps
         self._enlarged: EnlargedView | None = None
@@ -173,12 +172,7 @@ class WavefrontPanel(Panel):
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
             self._summary.setText("")
             self.grid.set_captions({})
-            self._written = ()
             return
-        written = numbers, wavefront.field, self.shown.unit, self.menu.options, self._reach_mrad.value
-        if written == self._written:
-            return
-        self._written = written
         presentation, field, factor = PRESENTATIONS[quantity], wavefront.field, self._factor
         if numbers.first.shape == (field.view_rows, field.view_columns):
             captions: dict[tuple[int, int], Caption] = {}

@@ -15,21 +15,8 @@ from app.gui.widgets.copies import copy_text
 from app.gui.widgets.layouts import fill_dialog, row, within_screen
 from app.run_facts import machine_facts, versions
 
-_CONVENTIONS = Path(__file__).parents[1] / "conventions.html"
+_CONVENTIONS, _CITATION = (Path(__file__).parents[1] / name for name in ("conventions.html", "citation.txt"))
 _SIZE_LINES = QSize(60, 46)  # of the help, in heights of a line
-PAPER = (
-    'F. Feng, C. Liang, D. Chen, K. Du, R. Yang, C. Lu, S. Chen, L. Chen, L. Tao, and H. Mao, "Space-variant '
-    'Shack-Hartmann wavefront sensing based on affine transformation estimation," Applied Optics (2022), '
-    "doi:10.1364/AO.471225"
-)
-_BIBTEX = """@article{Feng2022,
-  author  = {Feng, Fan and Liang, Chen and Chen, Dongdong and Du, Ke and Yang, Runjia and Lu, Chang and
-             Chen, Shumin and Chen, Liangyi and Tao, Louis and Mao, Heng},
-  title   = {Space-variant {Shack-Hartmann} wavefront sensing based on affine transformation estimation},
-  journal = {Applied Optics},
-  year    = {2022},
-  doi     = {10.1364/AO.471225},
-}"""
 _FIRST_PAGE = "window.md"
 
 
@@ -126,8 +113,7 @@ def show_documentation(parent: QWidget, warn: Callable[[str], object]) -> None:
 
 def show_citation(parent: QWidget) -> None:
     """Show what to cite."""
-    software = f"svwfs {versions()['svwfs']}, a live instrument for space-variant wavefront sensing"
-    text = f"The method:\n\n{PAPER}\n\n{_BIBTEX}\n\nThe software:\n\n{software}\n"
+    text = _CITATION.read_text("utf-8").replace("VERSION", versions()["svwfs"])
     TextDialog("citation", "How to cite", parent, text).show()
 
 

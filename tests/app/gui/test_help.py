@@ -15,7 +15,7 @@ from support.gui_bench import FakeCamera
 from support.paths import ROOT
 from support.window_tools import MakeWindow, press
 
-from app.gui.shell.help import PAPER, TextDialog, documentation
+from app.gui.shell.help import TextDialog, documentation
 from app.gui.shell.main_window import MainWindow
 
 
@@ -104,7 +104,7 @@ def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None
         value = next(line.partition(": ")[2] for line in file.splitlines() if line.strip().startswith(key))
         assert value in text.replace("{Shack-Hartmann}", "Shack-Hartmann")
     authors = re.findall(r"given-names: (\w+), family-names: (\w+)", file)
-    assert [family for _, family in authors] == re.findall(r"[A-Z]\. (\w+)", PAPER)
+    assert [family for _, family in authors] == re.findall(r"[A-Z]\. (\w+)", text.splitlines()[2])
     assert f"version: {version('svwfs')}" in file
 
 
