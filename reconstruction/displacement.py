@@ -93,7 +93,9 @@ class Displacement:
     residual_rms: Floats  # misfit over the contrast of the reference's best subimage; NaN where not converged
     chi_square: Floats  # reduced; NaN where not converged and where the camera's noise is unknown
     range_used: Floats  # share of the dynamic range used by the field's edge; above 1 only where LEFT_CELL
-    transmission_source: Transmission | Deferred[Transmission | None] | None = None  # None: the method does not measure it
+    transmission_source: Transmission | Deferred[Transmission | None] | None = (
+        None  # None: the method does not measure it
+    )
 
     @property
     def covariance(self) -> Floats:

@@ -202,12 +202,16 @@ class ModalSolution:
         with np.errstate(invalid="ignore", divide="ignore"):
             return float(np.sum(misfit**2 / variance) / self.freedom)
 
-    @cached_property
+    @property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
-        spread, deviation, others = self._deviations()
-        root = np.concatenate([spread.components * deviation, others], axis=-1)
-        return np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
+        found: Image | None = vars(self).get("_root_covariance")  # no cached property: see `Deferred`
+        if found is None:
+            spread, deviation, others = self._deviations()
+            root = np.concatenate([spread.components * deviation, others], axis=-1)
+            found = np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
+            vars(self)["_root_covariance"] = found
+        return found
 
 
 PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger

@@ -8,11 +8,11 @@ import math
 import sys
 import threading
 import time
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,10 +33,13 @@ from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
+from reconstruction.runtime.deferred import Deferred
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 
 _WAITING = 8  # measurements that wait for the thread; beyond, the oldest is dropped
-_DETAILED = 16  # records of which clients may ask for details
+_DETAILED_S = 3.0  # in which clients may ask for details of a record
+_COMPLETE = 16  # newest records that keep all, some hundred kilobytes each; older ones lose the transmission
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
 _BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
@@ -69,7 +72,7 @@ class Publisher:
         self._asked = deque[tuple[Future[Any], str, int]]()
         self._written_s = -math.inf
         self._rings = deque[RingWriter](maxlen=2)  # the newest last; a reader may be about to open the one before
-        self._shared, self._detailed = SharedObjects(), OrderedDict[int, Wavefront | None]()
+        self._shared, self._detailed = SharedObjects(), dict[int, tuple[float, Wavefront | None]]()
         self._facts: tuple[Calibration | None, str] | None = None
         self._subscriptions = set[bytes]()
         self._wakeup, self._closing = WakeupPipe(), threading.Event()
@@ -179,19 +182,28 @@ class Publisher:
             if len(self._rings) == self._rings.maxlen:
                 self._rings.popleft().close()
             self._rings.append(RingWriter(int(_SPARE * message.nbytes), self._ring_file, count=count - 1))
-        self._detailed[count] = measurement.wavefront
-        if len(self._detailed) > _DETAILED:
-            self._detailed.popitem(last=False)
+        self._keep(count, measurement.wavefront)
         self._rings[-1].write(message, count)
         self._written_s = time.monotonic()
         self.newest = NewFrame(self._rings[-1].name, count)
         self._notify()
 
+    def _keep(self, count: int, wavefront: Wavefront | None) -> None:
+        """Keep a wavefront for the details that clients may ask for."""
+        now_s = time.monotonic()
+        self._detailed[count] = now_s, wavefront
+        while now_s > self._detailed[oldest := next(iter(self._detailed))][0] + _DETAILED_S:
+            del self._detailed[oldest]
+        if len(self._detailed) > _COMPLETE:
+            old = list(self._detailed)[-_COMPLETE - 1]
+            written_s, complete = self._detailed[old]
+            self._detailed[old] = written_s, None if complete is None else _lean(complete)
+
     def _answer(self, future: Future[Any], name: str, number: int) -> None:
         try:
             if name == "object":
                 future.set_result(self._shared.get(number))
-            elif (wavefront := self._detailed.get(number)) is not None and name in DETAILS:
+            elif name in DETAILS and (wavefront := self._detailed.get(number, (0.0, None))[1]) is not None:
                 future.set_result(DETAILS[name](wavefront))
             else:
                 future.set_exception(RunError(f"there is no {name} of frame {number}"))
@@ -221,6 +233,19 @@ class Publisher:
                 self._subscriptions.add(change[1:])
             elif change[:1] == b"\x00":
                 self._subscriptions.discard(change[1:])
+
+
+def _lean(wavefront: Wavefront) -> Wavefront | None:
+    """Return a wavefront without what its transmission is computed from; None if that is not possible."""
+    if not isinstance(wavefront.solution, ModalSolution):
+        return None
+    displacement = replace(wavefront.displacement, transmission_source=Deferred(_refuse))
+    solution = replace(wavefront.solution, _displacement=displacement)
+    return replace(wavefront, displacement=displacement, solution=solution)
+
+
+def _refuse() -> None:
+    raise RunError("this transmission is no longer known")
 
 
 def _open_port(at_end: ExitStack, bench: Bench) -> "zmq.Socket[bytes]":

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, own_time
-from support.served import connected, served
+from support.served import connected, newest, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
 from app.acquisition.address import CLOSING_S
@@ -19,9 +21,19 @@ from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition
 from app.errors import RunError
 from app.gui.application import _raise_failure
+from app.gui.panels.coefficients import CoefficientsPanel
+from app.gui.panels.controls import ControlsPanel
+from app.gui.panels.history import HistoryPanel
+from app.gui.panels.layers import LayersPanel
+from app.gui.panels.lenslet import LensletPanel
+from app.gui.panels.panel import Panel
+from app.gui.panels.quality import QualityPanel
+from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
+from app.results.view_maps import Quantity
+from reconstruction.reconstructor import Reconstructor
 
 pytestmark = pytest.mark.slow
 
@@ -33,6 +45,46 @@ def window(make_window: MakeWindow, server: Server, qtbot: QtBot) -> MainWindow:
     made.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
     wait_for_wavefront(qtbot, made)
     return made
+
+
+def test_window_prepares_no_estimator_to_show_frames(
+    server: Server, make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With every panel open but the layers, whose search needs one."""
+    with connected("notebook") as notebook:
+        newest(notebook)
+        prepare = Reconstructor.__init__
+        prepared: list[object] = []
+        monkeypatch.setattr(
+            Reconstructor, "__init__", lambda made, *a, **b: prepared.append(made) or prepare(made, *a, **b)
+        )
+        window = make_window()
+        window.open(InstrumentFactory(lambda: reach("window", takes_control=False), lambda _: ()))
+        wait_for_wavefront(qtbot, window)
+        panels = [panel for panel in window.panels if not isinstance(panel, LayersPanel | ControlsPanel)]
+        next(dock for dock in window.docks.docks if dock.panel is window.panels.layers).hide()
+        window.docks.float_panels(*panels)
+        window.panels.lenslet.inspect(4, 6)
+        shown: set[type] = set()
+        for panel in panels:
+            show = panel.show_result
+
+            def note(found: Any, of: Panel = panel, show: Callable[[Any], None] = show) -> None:
+                shown.add(type(of))
+                show(found)
+
+            monkeypatch.setattr(panel, "show_result", note)
+        asked = {WavefrontPanel, CoefficientsPanel, LensletPanel, QualityPanel, HistoryPanel}
+        for quantity in Quantity:
+            window.panels.wavefronts.choice.setCurrentText(quantity)
+            shown.clear()
+            qtbot.waitUntil(lambda: shown >= asked)
+        assert not prepared
+        assert notebook.newest is not None
+        assert notebook.newest.wavefront is not None
+        assert np.isfinite(notebook.newest.wavefront.sigma()).all()
+        assert not prepared
+    assert server.acquisition.is_alive
 
 
 @pytest.mark.long
