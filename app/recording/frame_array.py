@@ -102,8 +102,8 @@ class FrameArray:
             (store / name / "c").mkdir()
         return cls(store / name)
 
-    def write(self, index: int, values: NDArray[Any]) -> int:
-        """Write the values of one frame, of `shape`; return the number of bytes."""
+    def write(self, index: int, values: NDArray[Any]) -> None:
+        """Write the values of one frame, of `shape`."""
         if values.shape != self.shape:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
         number, place = divmod(index, self._in_chunk)
@@ -117,7 +117,6 @@ class FrameArray:
         self._append(values)
         if place + 1 == self._in_chunk:
             self.close()
-        return self._bytes
 
     def close(self) -> None:
         """Close the open chunk, if any."""

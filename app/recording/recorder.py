@@ -53,7 +53,6 @@ class RecordingState:
     frames: int  # written
     waiting: int  # in the queue
     seconds: float  # duration of the recording so far
-    free_minutes: float  # until the disk is full at this rate; infinite as long as the rate is unknown
     problem: str  # why it ended early; empty if it did not
     gaps: tuple[Gap, ...] = ()  # in which the camera stood
 
@@ -89,7 +88,7 @@ class BackgroundRecording:
         self._first_s: float | None = None  # arrival of the first frame that was taken
         self._changed = threading.Condition()
         self._is_open, self._is_finished, self._problem = True, False, ""  # open for more frames
-        self._frames, self._free_minutes, self._gaps = 0, math.inf, tuple[Gap, ...]()
+        self._frames, self._gaps = 0, tuple[Gap, ...]()
         self._began_s = time.perf_counter()
         self._ended_s: float | None = None
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
@@ -137,7 +136,6 @@ class BackgroundRecording:
             frames=self._frames,
             waiting=len(self._waiting),
             seconds=seconds,
-            free_minutes=self._free_minutes,
             problem=self._problem,
             gaps=self._gaps,
         )
@@ -181,9 +179,6 @@ class BackgroundRecording:
                     self._frames, self._gaps = writer.frames, tuple(writer.gaps)
                     if synced.done() and time.perf_counter() > synced_s + _SYNC_S:
                         synced.result()  # raises its error
-                        seconds = time.perf_counter() - self._began_s
-                        free = shutil.disk_usage(self._folder).free
-                        self._free_minutes = free / (writer.bytes / seconds) / 60 if writer.bytes else math.inf
                         synced, synced_s = syncing.submit(writer.sync), time.perf_counter()
                 synced.result()
         except (OSError, InputError, RunError) as error:

@@ -145,7 +145,7 @@ class RecordingWriter:
         self._biases = _Numbered[Floats](lambda number, bias: write_array(folder / BIAS.format(number), bias))
         self._lines_bytes = 0
         self.gaps: list[Gap] = []
-        self.frames = self.reconstructed = self.lost = self.bytes = 0
+        self.frames = self.reconstructed = self.lost = 0
 
     def write(self, record: Record) -> None:
         """Write a frame, and then its line."""
@@ -154,7 +154,7 @@ class RecordingWriter:
         bias = self._biases.number_of(made.assumed.refinement.bias)
         for name, array, values in self._parts(record, calibration):
             try:
-                self.bytes += array.write(index, values)
+                array.write(index, values)
             except RunError as error:
                 raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
         self._write_line(record.line(index, calibration=calibration, bias=bias))

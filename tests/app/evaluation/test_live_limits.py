@@ -58,7 +58,7 @@ def span_of(
 
 
 def figures_of(window: Span, bare: Span | None = None, problem: str = "", *, with_panels: bool = False) -> LiveFigures:
-    state = RecordingState(Path("r"), "ended early" if problem else "finished", 700, 0, 10.0, 60.0, problem)
+    state = RecordingState(Path("r"), "ended early" if problem else "finished", 700, 0, 10.0, problem)
     planned = LivePlan(bench=BENCH, seconds=10, record_in=Path(), with_panels=with_panels)
     return LiveFigures(
         plan=planned, is_seen=True, window=window, recording=state, bare=bare or span_of(), processor_s=20.0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
@@ -202,7 +201,7 @@ def test_text_takes_a_second_line_and_then_an_ellipsis(qtbot: QtBot) -> None:
 def test_disk_space_gives_way_to_what_happens_in_the_recording(qtbot: QtBot) -> None:
     panel = RecordingPanel()
     qtbot.addWidget(panel)
-    state = RecordingState(Path("run"), "recording", 123456, 1234, 3600.0, math.inf, "")
+    state = RecordingState(Path("run"), "recording", 123456, 1234, 3600.0, "")
     panel.show_state(state, 58.0)
     assert panel.text.text() == "123456 frames   60:00   1234 waiting for the disk"
     assert "58 min" in panel.text.toolTip()

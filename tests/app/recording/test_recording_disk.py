@@ -39,11 +39,10 @@ def test_full_disk_keeps_all_acknowledged_frames(
 ) -> None:
     put = FrameArray.write
 
-    def fill_up(array: FrameArray, index: int, values: Floats) -> int:
-        written = put(array, index, values)
+    def fill_up(array: FrameArray, index: int, values: Floats) -> None:
+        put(array, index, values)
         if index == 5 and (values.dtype != np.uint16 or not partly):
             raise OSError(errno.ENOSPC, "No space left on device", "the disk")
-        return written
 
     monkeypatch.setattr(FrameArray, "write", fill_up)
     records = make_records(calibration, 12)
@@ -124,7 +123,7 @@ def test_slow_disk_ends_the_recording_without_blocking(
     monkeypatch.setattr(recorder, "_QUEUED_FRAMES", 8)
     is_free, put = threading.Event(), FrameArray.write
 
-    def slowly(array: FrameArray, index: int, values: Floats) -> int:
+    def slowly(array: FrameArray, index: int, values: Floats) -> None:
         is_free.wait(HANG_S)
         return put(array, index, values)
 
