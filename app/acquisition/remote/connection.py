@@ -21,7 +21,7 @@ from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.commands import Commands
 from app.acquisition.instrument import Activity, Condition, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Heartbeat, Hello, State
+from app.acquisition.remote.messages import Accepted, Answer, Heartbeat, Hello, NewStatus, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
 from app.acquisition.serialization import encoded, unpacked
 from app.acquisition.streams.messages import NewFrame
@@ -273,6 +273,8 @@ class Connection(Commands):
 
     def _take(self, message: object) -> None:
         match message:
+            case NewStatus():
+                self.bench, self.status = message.bench, message.status
             case State():
                 self._take_state(message)
             case NewFrame():
@@ -286,9 +288,8 @@ class Connection(Commands):
                 self._say(Hello(self.name, False, self._pause_s))
 
     def _take_state(self, state: State) -> None:
-        self.bench, self.status, self._activity = state.bench, state.status, state.activity
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
-        self.clients, self.controller = state.clients, state.controller
+        self._activity, self.clients, self.controller = state.activity, state.clients, state.controller
         self._started, self._is_gone = state.processes, not state.is_alive
         if self._is_gone and self._ended is None:
             self._ended = state.ended_by or RunError("the instrument was shut down")

@@ -18,6 +18,7 @@ import zmq
 
 from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
+from app.acquisition.instrument import Status
 from app.acquisition.remote.messages import (
     MOST_BYTES,
     Accepted,
@@ -25,6 +26,7 @@ from app.acquisition.remote.messages import (
     Command,
     Heartbeat,
     Hello,
+    NewStatus,
     State,
     portable_error,
     watching,
@@ -78,6 +80,7 @@ class Server:
         self._controller = b""
         self._done: deque[tuple[bytes, Command, Future[Any]]] = deque()
         self._state: State | None = None
+        self._status: Status | None = None  # as sent
         self._sent_s = self._state_due_s = self._log_due_s = -math.inf
         self._heard_s = math.inf  # when messages were heard last
         self._announced_frame = self._frames.newest
@@ -235,7 +238,7 @@ class Server:
             self._tell_state()
             client = self._clients.get(identity)
             if client is None or client.is_behind:  # it gets no news
-                self._tell(identity, self._present())
+                self._tell(identity, self._new_status(), self._present())
         try:
             self._tell(identity, Answer(command.number, result, error, count))
         except RunError as unsendable:
@@ -246,9 +249,7 @@ class Server:
         fault = acquisition.error or self._fault
         controller = self._clients.get(self._controller)
         return State(
-            bench=acquisition.bench,
-            activity=acquisition.activity,  # before the status, which is that after a routine as soon as it ends
-            status=acquisition.status,
+            activity=acquisition.activity,
             processes=acquisition.processes,
             counts=acquisition.counts,
             recording=acquisition.recording,
@@ -260,14 +261,24 @@ class Server:
         )
 
     def _tell_state(self, *, is_over: bool = False) -> None:
-        """Send the state to all clients if it differs from the last one, or that was long ago."""
+        """Send the state to all clients if it differs from the last one, or that was long ago.
+
+        The status is read after the activity and sent before it: as soon as a routine ends, it is that after it.
+        """
         state, now_s = self._present(is_over=is_over), time.monotonic()
         self._state_due_s = now_s + _STATE_S
+        if self.acquisition.status is not self._status:
+            new_status = self._new_status()
+            self._status = new_status.status
+            self._tell_all(new_status)
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)
 
-    def _tell_all(self, message: State | NewFrame) -> None:
+    def _new_status(self) -> NewStatus:
+        return NewStatus(self.acquisition.bench, self.acquisition.status)
+
+    def _tell_all(self, message: State | NewStatus | NewFrame) -> None:
         told, now_s = encoded(message).message(), time.monotonic()
         for identity, client in self._clients.items():
             client.is_behind |= now_s > client.heard_s + _BEHIND_S
@@ -276,8 +287,8 @@ class Server:
 
     def _tell_news(self, identity: bytes) -> None:
         """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
-        self._tell(identity, self._frames.newest)
-        self._tell(identity, self._present())
+        self._tell(identity, self._frames.newest, self._new_status(), self._present())
 
-    def _tell(self, identity: bytes, message: object) -> None:
-        self._socket.send_multipart([identity, encoded(message).message()])
+    def _tell(self, identity: bytes, *messages: object) -> None:
+        for message in messages:
+            self._socket.send_multipart([identity, encoded(message).message()])
