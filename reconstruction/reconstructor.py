@@ -211,7 +211,7 @@ class Reconstructor:
         """
         light, saturated = self._dark_subtractor(frame, "frame")
         least, most = self._no_light
-        if least < light[::_SPARSE, ::_SPARSE].std() < most:  # each lenslet would take longest
+        if least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most:  # each lenslet would take longest
             raise ReconstructionError(f"{_NO_MATCH}: is the light on?", image="frame")
         displacement = self._prepared.method(light, saturated=saturated, start=start)
         if np.count_nonzero(displacement.valid) < 2:
