@@ -147,7 +147,7 @@ class Publisher:
     @property
     def _due_s(self) -> float:
         """Time of the next record: twice as often as a client reads, so that it reads what is new."""
-        return self._written_s + self._pause_s / 2
+        return self._written_s + self._pause_s / 2 if math.isfinite(self._pause_s) else math.inf
 
     def _publish_waiting(self, socket: "zmq.Socket[bytes] | None") -> None:
         if socket is not None:
