@@ -126,11 +126,6 @@ class History:
         """Drop a series."""
         self._series.pop(name, None)
 
-    @property
-    def bytes(self) -> int:
-        """Memory in use."""
-        return self._time_s.nbytes + sum(series.nbytes for series in self._series.values())
-
 
 def values_of_frame(
     measurement: Measurement, shown: Wavefront | None, *, full_scale: float, temperature_c: float | None

@@ -104,11 +104,6 @@ class Player:
         """Reason of each damaged frame that was met, by its position in `frames`."""
         return {} if self._camera is None else dict(self._camera.damaged)
 
-    @property
-    def speed(self) -> float:
-        """Speed of the replay, times the recorded rate."""
-        return self._speed
-
     def set_speed(self, speed: float) -> None:
         """Play at a multiple of the recorded rate."""
         self._speed = speed

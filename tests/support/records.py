@@ -84,7 +84,8 @@ def frame_file(folder: Path, index: int, array: str = "0") -> Path:
     separator = metadata["chunk_key_encoding"]["configuration"]["separator"]
 
     def file(number: int) -> Path:
-        return path / separator.join(("c", str(number), *("0" for _ in shape)))
+        name: str = separator.join(("c", str(number), *("0" for _ in shape)))
+        return path / name
 
     if in_chunk > 1:
         size = math.prod(shape) * np.dtype(metadata["data_type"]).itemsize

@@ -25,7 +25,7 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
-from app.gui.widgets.theme import apply_theme, use_theme
+from app.gui.widgets.theme import styled_application, use_theme
 from app.results.player import Player
 from app.results.view_maps import Quantity
 from support.paths import DOCS, ROOT
@@ -189,7 +189,7 @@ def take(theme: str, folder: Path) -> None:
     """Take the pictures of a screen in this process."""
     application = QApplication(sys.argv[:1])
     use_font(application)
-    apply_theme(application)
+    styled_application()
     use_theme(application, theme)
     folder.mkdir(parents=True, exist_ok=True)
     Photographer(application, folder).take_all()

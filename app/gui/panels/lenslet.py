@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QWidget
 from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.layouts import column, row
-from app.gui.widgets.presentation import AdaptiveScale, diverging, linear, number, percent, with_error
+from app.gui.widgets.presentation import AdaptiveScale, diverging, number, of_counts, percent, with_error
 from app.gui.widgets.texts import ElidedLabel, label
 from app.gui.widgets.view_grid import LEAST_LINES, Maps, ViewGrid
 from app.results.view_maps import LensletInspection, inspect_lenslet
@@ -116,7 +116,7 @@ class LensletPanel(Panel):
         self._grey(is_grey=self.shown.data_freshness.is_grey)
         self.exclude.setText("Use again" if found.outcome is LensletStatus.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)
-        light = linear(0.0, self._top.follow(top))
+        light = of_counts(self._top.follow(top))
         scales, images = [light] * 4, (found.reference, found.frame, found.fitted, found.residual)
         if found.residual is not None:
             most = max(float(np.nanmax(np.abs(found.residual), initial=0.0)), 1.0)

@@ -59,11 +59,6 @@ class DisplayState(QObject):
         self.has_open_tabs = True
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
 
-    def use_wavefront(self, wavefront: Wavefront | None) -> None:
-        self.wavefront = wavefront
-        if wavefront is not None:
-            self.wavelength_m = wavefront.sensor.wavelength_m
-
     @property
     def per_rad(self) -> float:
         """One radian in the unit."""

@@ -117,10 +117,12 @@ class WavefrontPanel(Panel):
         if wavefront is None and self._newest is None:
             return
         self._newest = wavefront
-        self.shown.use_wavefront(None if wavefront is None else self._display(wavefront))
-        if self.shown.wavefront is None:
+        if wavefront is None:
+            self.shown.wavefront = None
             self._show_maps(None)
-        elif self.is_needed and self.quantity is Quantity.WAVEFRONT:
+            return
+        self.shown.wavefront, self.shown.wavelength_m = self._display(wavefront), wavefront.sensor.wavelength_m
+        if self.is_needed and self.quantity is Quantity.WAVEFRONT:
             self._show(QuantityMaps(self.shown.wavefront.views))
 
     def forget_bench(self) -> None:
@@ -213,13 +215,6 @@ class WavefrontPanel(Panel):
         files = f"{path} and {results.name}"
         self._exports.run(write, lambda _: self.informed.emit(f"saved {files}"), writes=files)
 
-    def subtract_file(self, path: Path) -> None:
-        """Subtract the wavefront of a file of results as soon as it is read."""
-        lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
-        self._reading.forget()  # another file was chosen meanwhile
-        read = partial(StoredWavefront.from_results, path, lenslets)
-        self._reading.run(read, lambda stored: self.menu.change(stored=stored))
-
     @property
     def _scale(self) -> AdaptiveScale:
         return self._limits[PRESENTATIONS[self.quantity].family, self.shown.unit]
@@ -245,9 +240,13 @@ class WavefrontPanel(Panel):
             self.menu.change(stored=self._display.store(self._newest, name))
 
     def _choose_file(self) -> None:
+        """Subtract the wavefront of a file of results as soon as it is read."""
         name, _ = QFileDialog.getOpenFileName(self, "Subtract a wavefront", "", "Results (*.nc)")
         if name:
-            self.subtract_file(Path(name))
+            lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
+            self._reading.forget()  # another file was chosen meanwhile
+            read = partial(StoredWavefront.from_results, Path(name), lenslets)
+            self._reading.run(read, lambda stored: self.menu.change(stored=stored))
 
     def _apply_options(self) -> None:
         self._display.options, self.shown.unit = self.menu.options, self.menu.unit
@@ -266,26 +265,31 @@ class WavefrontPanel(Panel):
         if wavefront is None:
             return
 
-        def in_words(value: float) -> str:
-            return presentation.value(value, unit)
-
         def scale_of(values: Floats) -> ColourScale:
             self._follow(self._scale, max(presentation.limit(values), presentation.finest * self._factor))
             return presentation.scale(self._scale.value, unit)
 
         if self.quantity is Quantity.PSF:
             values, reach_mrad = found.values * self._factor, found.reach_rad * 1e3
-            text = partial(_describe_angle, in_words, np.linspace(-reach_mrad, reach_mrad, values.shape[-1]))
-            reach = (reach_mrad, reach_mrad)
-            self._show_maps(Maps(values, scale_of(values), text, is_smooth=True, reach=reach, reach_unit="mrad"))
+            angle_mrad, reach = np.linspace(-reach_mrad, reach_mrad, values.shape[-1]), (reach_mrad, reach_mrad)
+
+            def at_angle(row: int, column: int, value: float) -> str:
+                place = f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad"
+                return f"{place}: {presentation.value(value, unit)}" if np.isfinite(value) else "no value"
+
+            self._show_maps(Maps(values, scale_of(values), at_angle, is_smooth=True, reach=reach, reach_unit="mrad"))
         else:
             sensor = wavefront.sensor
             values = aligned(found.values, sensor.arrangement) * self._factor
             x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
             y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
-            text = partial(_describe_lenslet, in_words)
+
+            def at_lenslet(row: int, column: int, value: float) -> str:
+                text = presentation.value(value, unit) if np.isfinite(value) else "lost, no value"
+                return f"Lenslet row {row}, column {column}: {text}"
+
             measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            self._show_maps(Maps(measured, scale_of(values), text, reach=(x_mm, y_mm), reach_unit="mm"))
+            self._show_maps(Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm"))
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
         if not (self.freeze_scale.isChecked() and scale.is_set):
@@ -307,17 +311,6 @@ def _positions(field: Field) -> dict[tuple[int, int], tuple[str, ...]]:
     """Wordings of the position of each view (view_row, view_column)."""
     x_m, y_m = field.view_x_m.tolist(), field.view_y_m.tolist()
     return {(i, j): position_texts(x_m[j], y_m[i]) for i, j in np.ndindex(len(y_m), len(x_m))}
-
-
-def _describe_lenslet(in_words: Callable[[float], str], row: int, column: int, value: float) -> str:
-    text = in_words(value) if np.isfinite(value) else "lost, no value"
-    return f"Lenslet row {row}, column {column}: {text}"
-
-
-def _describe_angle(in_words: Callable[[float], str], angle_mrad: Floats, row: int, column: int, value: float) -> str:
-    if not np.isfinite(value):
-        return "no value"
-    return f"{angle_mrad[column]:+.2f}, {angle_mrad[row]:+.2f} mrad: {in_words(value)}"
 
 
 class DisplayMenu(QMenu):
@@ -348,7 +341,7 @@ class DisplayMenu(QMenu):
         self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
         square = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
         grids = [("As in the bench", None), *square]
-        self.grids = self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
+        self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
 
     def change(self, **changes: Any) -> None:
         self.options = replace(self.options, **changes)

@@ -20,17 +20,6 @@ _SIZE_LINES = QSize(60, 46)  # of the help, in heights of a line
 _FIRST_PAGE = "window.md"
 
 
-def show_keys(parent: QWidget, menus: Mapping[str, Entries]) -> None:
-    """Show the keys of all entries and the conventions, without stopping the measurement."""
-    tables = [_key_table(title, entries) for title, entries in menus.items()]
-    columns = "".join(f"<td>{''.join(tables[at::2])}</td>" for at in range(2))
-    dialog = TextDialog("help", "Shortcuts and conventions", parent)
-    dialog.view.setWordWrapMode(QTextOption.WrapMode.WordWrap)  # else it breaks within words
-    dialog.view.setHtml(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS.read_text('utf-8')}")
-    dialog.resize(within_screen(parent, _SIZE_LINES * parent.fontMetrics().height()))
-    dialog.show()
-
-
 def _key_table(title: str, entries: Entries) -> str:
     rows = "".join(
         f"<tr><td style='padding-right: 10px'><b>{key}</b></td>"
@@ -88,54 +77,57 @@ def documentation() -> Path | None:
     return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
 
 
-def show_log(parent: QWidget, messages: MessageStrip) -> None:
-    """Show all messages, also those that come from now on."""
-    dialog = TextDialog("log", "Message log", parent)
-    dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
-
-    def update() -> None:
-        dialog.view.setPlainText(messages.log or f"No message so far. Shown now: {messages.text.text()}")
-        dialog.view.moveCursor(QTextCursor.MoveOperation.End)
-
-    update()
-    messages.logged.connect(update)
-    dialog.finished.connect(lambda _: messages.logged.disconnect(update))
-    dialog.show()
-
-
-def show_documentation(parent: QWidget, warn: Callable[[str], object]) -> None:
-    """Show the documentation, or warn that it is missing."""
-    if (folder := documentation()) is None:
-        warn("the documentation is not installed: it is in the folder docs of the source")
-    else:
-        TextDialog("documentation", "Documentation", parent).show_page(QUrl.fromLocalFile(str(folder / _FIRST_PAGE)))
-
-
-def show_citation(parent: QWidget) -> None:
-    """Show what to cite."""
-    text = _CITATION.read_text("utf-8").replace("VERSION", versions()["svwfs"])
-    TextDialog("citation", "How to cite", parent, text).show()
-
-
-def show_about(parent: QWidget, present: Mapping[str, str]) -> None:
-    """Show versions, the computer, and `present` facts by name."""
-    installed = versions("zarr")
-    facts = {"Version": installed.pop("svwfs", "not installed"), "Licence": "GPL-3.0-or-later", **present}
-    machine = {name.capitalize(): str(fact) for name, fact in machine_facts().items()}
-    libraries = {"Qt": QT_VERSION_STR, **installed}
-    text = "\n".join(f"{name}: {fact}" for name, fact in {**facts, **machine, **libraries}.items())
-    about = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
-    TextDialog("about", "About svwfs", parent, about).show()
-
-
 def help_entries(
     window: QWidget, menus: Mapping[str, Entries], messages: MessageStrip, facts: Callable[[], Mapping[str, str]]
 ) -> Entries:
     """Return the entries of the help menu, which is itself among the `menus`; "About" shows the `facts`."""
+
+    def show_keys() -> None:
+        tables = [_key_table(title, entries) for title, entries in menus.items()]
+        columns = "".join(f"<td>{''.join(tables[at::2])}</td>" for at in range(2))
+        dialog = TextDialog("help", "Shortcuts and conventions", window)
+        dialog.view.setWordWrapMode(QTextOption.WrapMode.WordWrap)  # else it breaks within words
+        dialog.view.setHtml(f"<table cellspacing='0'><tr>{columns}</tr></table>{_CONVENTIONS.read_text('utf-8')}")
+        dialog.resize(within_screen(window, _SIZE_LINES * window.fontMetrics().height()))
+        dialog.show()
+
+    def show_log() -> None:
+        dialog = TextDialog("log", "Message log", window)
+        dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+
+        def update() -> None:
+            dialog.view.setPlainText(messages.log or f"No message so far. Shown now: {messages.text.text()}")
+            dialog.view.moveCursor(QTextCursor.MoveOperation.End)
+
+        update()
+        messages.logged.connect(update)
+        dialog.finished.connect(lambda _: messages.logged.disconnect(update))
+        dialog.show()
+
+    def show_documentation() -> None:
+        if (folder := documentation()) is None:
+            messages.warn("the documentation is not installed: it is in the folder docs of the source")
+        else:
+            page = QUrl.fromLocalFile(str(folder / _FIRST_PAGE))
+            TextDialog("documentation", "Documentation", window).show_page(page)
+
+    def show_citation() -> None:
+        text = _CITATION.read_text("utf-8").replace("VERSION", versions()["svwfs"])
+        TextDialog("citation", "How to cite", window, text).show()
+
+    def show_about() -> None:
+        installed = versions("zarr")
+        present = {"Version": installed.pop("svwfs", "not installed"), "Licence": "GPL-3.0-or-later", **facts()}
+        machine = {name.capitalize(): str(fact) for name, fact in machine_facts().items()}
+        about = {**present, **machine, "Qt": QT_VERSION_STR, **installed}
+        text = "\n".join(f"{name}: {fact}" for name, fact in about.items())
+        text = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
+        TextDialog("about", "About svwfs", window, text).show()
+
     return (
-        ("Shortcuts and conventions", "F1", lambda: show_keys(window, menus)),
-        ("Message log", "Ctrl+L", lambda: show_log(window, messages)),
-        ("Documentation", "Shift+F1", lambda: show_documentation(window, messages.warn)),
-        ("How to cite", "", lambda: show_citation(window)),
-        ("About svwfs", "", lambda: show_about(window, facts())),
+        ("Shortcuts and conventions", "F1", show_keys),
+        ("Message log", "Ctrl+L", show_log),
+        ("Documentation", "Shift+F1", show_documentation),
+        ("How to cite", "", show_citation),
+        ("About svwfs", "", show_about),
     )

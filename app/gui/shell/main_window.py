@@ -359,7 +359,7 @@ class MainWindow(QMainWindow):
             save_state(self._saved, self)
         self._timer.stop()
         self.analyses.close()
-        self.recording_bar.commands.close()
+        self.recording_bar.end_commands()
         self.region_dialog.close()
         self.controller.close(self._show_closing)
         self.recording_bar.refresh()  # end, name and note of a recording that was under way

@@ -9,13 +9,12 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QSettings, QStandardPaths, Qt, QUrl
+from PyQt6.QtCore import QProcess, QProcessEnvironment, QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
 from app.acquisition.running_instrument import RunningInstrument
 from app.gui.panels.panel import Entries
-from app.gui.shell.background_commands import BackgroundCommands
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
 from app.gui.shell.status_text import gaps_in_words, recording_ended
@@ -25,17 +24,20 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import fill_strip
+from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import ElidedLabel, label, mark_refused
-from app.progress import counted
+from app.progress import LINE_START, LINES, counted
 from app.recording.folder import describe, name_problem, read_run
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
 from app.results.export import EXPORT_FORMATS, Format
+from app.run_facts import command_line
 from drivers.interface import Range
 
 _WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
 _STOP = "Stop recording"
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
+_END_MS = 3000  # for a command that is to end
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _FOLDER = "folders/recordings"  # key of the saved state
 
@@ -120,7 +122,6 @@ class RecordingBar(QFrame):
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
         self.recent = RecentFiles(saved, "recent/recordings")
-        self.commands = BackgroundCommands(controller.messages, self)
         self._began: Path | None = None  # folder of the recording as it began
         self._finished: _Finished | None = None
         self._naming = FileWork(self, self._messages.warn)
@@ -258,7 +259,13 @@ class RecordingBar(QFrame):
 
     def play(self, folder: Path) -> None:
         """Open a recording in another window."""
-        self._opening.run(partial(read_run, folder), lambda _: self.commands.start_window("--replay", folder))
+        self._opening.run(partial(read_run, folder), lambda _: self._start_window(folder))
+
+    def _start_window(self, folder: Path) -> None:
+        """Replay a recording in another window, which lives on when this one closes."""
+        started, _ = QProcess.startDetached(*command_line("live", "--replay", folder))
+        if not started:
+            self._messages.warn("another window could not be started")
 
     def _restart(self) -> None:
         """Go on with another acquisition; report a recording that a failure has cut off."""
@@ -363,24 +370,68 @@ class RecordingBar(QFrame):
 
     def _report(self, folder: Path) -> None:
         out = folder / "report.pdf"
-        self.commands.start(
-            self.report,
-            f"writing the report of {folder.name}",
-            *("report", folder, "--out", out, "--overwrite"),
-            end=f"the report is in {out}",
-            then=lambda: self._show(out),
-        )
+        command = "report", folder, "--out", out, "--overwrite"
+        begin, end = f"writing the report of {folder.name}", f"the report is in {out}"
+        self._run(self.report, command, begin, end, lambda: self._show(out))
 
     def _export(self, to: Format, folder: Path) -> None:
         what, (suffix, *_) = EXPORT_FORMATS[to]
         name = ask_file(self, what, str(folder.with_name(f"{folder.name}{suffix}")), f"*{suffix}")
         if name is not None:  # the dialog has asked whether to replace it
-            self.commands.start(
-                self.export,
-                f"exporting {folder.name}",
-                *("export", folder, "--to", to, "--out", name, "--overwrite"),
-                end=f"exported to {name}",
-            )
+            command = "export", folder, "--to", to, "--out", name, "--overwrite"
+            self._run(self.export, command, f"exporting {folder.name}", f"exported to {name}")
+
+    def _run(
+        self,
+        by: Button,
+        command: tuple[str | Path, ...],
+        begin: str,
+        end: str,
+        then: Callable[[], object] = lambda: None,
+    ) -> None:
+        """Run a command of svwfs in another process; meanwhile its button `by` is grey and shows the progress.
+
+        `begin` and `end` are the messages, `then` is called if it succeeds.
+        """
+        process, name, errors = QProcess(self), by.text(), list[str]()
+        environment = QProcessEnvironment.systemEnvironment()
+        environment.insert(LINES, "1")
+        process.setProcessEnvironment(environment)
+        by.setEnabled(False)
+
+        def read() -> None:
+            while process.canReadLine():
+                line = bytes(process.readLine().data()).decode(errors="replace").strip()
+                if line.startswith(LINE_START):
+                    by.setText(f"{name} {percent(float(line.removeprefix(LINE_START)))}")
+                elif line:
+                    errors.append(line)
+
+        def finish(status: int, how: QProcess.ExitStatus) -> None:
+            read()
+            process.deleteLater()
+            by.setText(name)
+            by.setEnabled(True)
+            if how is QProcess.ExitStatus.NormalExit and status == 0:
+                self._messages.inform(end)
+                then()
+            else:
+                self._messages.alarm(errors[-1].removeprefix("svwfs: ") if errors else f"{begin}: failed")
+
+        process.setReadChannel(QProcess.ProcessChannel.StandardError)
+        process.readyReadStandardError.connect(read)
+        process.finished.connect(finish)
+        self._messages.inform(begin)
+        process.start(*command_line(*command))
+
+    def end_commands(self) -> None:
+        """End the commands that still run; their output files appear only when they are whole."""
+        for process in self.findChildren(QProcess):
+            process.blockSignals(True)
+            process.terminate()
+            if not process.waitForFinished(_END_MS):
+                process.kill()
+                process.waitForFinished(_END_MS)
 
 
 def _recordings_folder(saved: QSettings | None) -> Path:

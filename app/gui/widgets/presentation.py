@@ -59,19 +59,9 @@ def diverging(limit: float, unit: str) -> ColourScale:
     return ColourScale("CET-D1", -limit, limit, unit, _HALVES, is_signed=True)
 
 
-def uncertain(limit: float, unit: str) -> ColourScale:
-    """Return the scale of standard deviations from 0 to the limit."""
-    return ColourScale("viridis", 0.0, limit, unit, _FIFTHS)
-
-
-def bright(limit: float, _: str) -> ColourScale:
-    """Return the scale of intensities from 0 to the limit; its square root shows faint light."""
-    return ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT} scale", _ROOTS, power=0.5)
-
-
-def linear(low: float, high: float) -> ColourScale:
-    """Return the scale of counts or shares without a unit."""
-    return ColourScale("inferno", low, high, "", _HALVES[::2])
+def of_counts(limit: float) -> ColourScale:
+    """Return the scale of counts from 0 to the limit."""
+    return ColourScale("inferno", 0.0, limit, "", _HALVES[::2])
 
 
 @lru_cache
@@ -188,14 +178,9 @@ def signed(value: float) -> str:
     return f"+{number(value)}" if value > 0 else number(value)
 
 
-def millimetres(position_m: float) -> str:
-    """Format a field position in mm."""
-    return f"{position_m * 1e3:+.2f}".replace("-", "\N{MINUS SIGN}").replace("+0.00", "0")
-
-
 def position_texts(x_m: float, y_m: float) -> tuple[str, ...]:
     """Format the field position of a view: wordings, longest first."""
-    x, y = millimetres(x_m), millimetres(y_m)
+    x, y = (f"{at_m * 1e3:+.2f}".replace("-", "\N{MINUS SIGN}").replace("+0.00", "0") for at_m in (x_m, y_m))
     return f"x {x}  y {y} mm", f"{x}, {y} mm", f"{x}, {y}"
 
 
@@ -203,7 +188,7 @@ PRESENTATIONS = {
     Quantity.WAVEFRONT: Presentation("Wavefront of each view"),
     Quantity.PSF: Presentation(
         about="Point-spread function of each view, on a square-root scale",
-        scale=bright,
+        scale=lambda limit, _: ColourScale("inferno", 0.0, limit, "\N{SQUARE ROOT} scale", _ROOTS, power=0.5),
         family="intensity",
         finest=1e-4,
         shown_percent=100.0,
@@ -217,7 +202,7 @@ PRESENTATIONS = {
     ),
     Quantity.UNCERTAINTY: Presentation(
         about="Error bar of each view's wavefront: noise, prior and systematic errors",
-        scale=uncertain,
+        scale=lambda limit, unit: ColourScale("viridis", 0.0, limit, unit, _FIFTHS),
         family="uncertainty",
         finest=0.001,
         names=("mean", "max"),

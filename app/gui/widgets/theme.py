@@ -71,12 +71,15 @@ QProgressBar::chunk {{ background: #2f6f9f; }}
 
 
 def styled_application() -> QApplication:
-    """Return the application with its name and theme, made if there is none."""
+    """Return the application, made if there is none, with its name and style, in the colours of the desktop."""
     application = QApplication.instance()
     if not isinstance(application, QApplication):
         application = QApplication(sys.argv[:1])
     application.setApplicationName("svwfs")
-    apply_theme(application)
+    application.setStyle("Fusion")
+    _colour(application)
+    if (hints := application.styleHints()) is not None:
+        hints.colorSchemeChanged.connect(lambda _: _colour(application))
     return application
 
 
@@ -87,14 +90,6 @@ def show_ending(sentence: str, details: str) -> None:
     dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     dialog.setDetailedText(details)
     dialog.exec()
-
-
-def apply_theme(application: QApplication) -> None:
-    """Set the Fusion style for the application, in the colours of the desktop, now and later."""
-    application.setStyle("Fusion")
-    _colour(application)
-    if (hints := application.styleHints()) is not None:
-        hints.colorSchemeChanged.connect(lambda _: _colour(application))
 
 
 def use_theme(application: QApplication, name: str) -> None:
@@ -131,7 +126,7 @@ def _colour(application: QApplication) -> None:
         palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
     application.setPalette(palette)
     application.setStyleSheet(_style())
-    application.setWindowIcon(icon())
+    application.setWindowIcon(QIcon(str(Path(__file__).parents[1] / "svwfs.svg")))
 
 
 class _Follower(QObject):
@@ -152,11 +147,6 @@ def follow(widget: QWidget, paint: Callable[[], object]) -> None:
     """Call `paint`, which sets colours of the theme, now and whenever the theme of a widget changes."""
     paint()
     _Follower(widget, paint)
-
-
-def icon() -> QIcon:
-    """Return the icon of the program."""
-    return QIcon(str(Path(__file__).parents[1] / "svwfs.svg"))
 
 
 def lamp(colour: QColor) -> QIcon:

@@ -17,7 +17,7 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 
 from app.gui.panels.quality import verdict
 from app.gui.shell.main_window import MainWindow
-from app.gui.widgets.presentation import PRESENTATIONS, bright, colour_table, diverging, uncertain
+from app.gui.widgets.presentation import PRESENTATIONS, colour_table
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
@@ -271,6 +271,9 @@ def test_verdict_states_error_and_patch() -> None:
 
 
 def test_colours_run_from_low_to_high_and_nan_is_transparent() -> None:
+    diverging, uncertain, bright = (
+        PRESENTATIONS[quantity].scale for quantity in (Quantity.WAVEFRONT, Quantity.UNCERTAINTY, Quantity.PSF)
+    )
     for scale, middle in ((diverging(2.0, "rad"), 0.0), (uncertain(2.0, "rad"), 1.0), (bright(2.0, ""), 0.5)):
         pixels = scale.pixels(np.array([scale.low - 1, scale.low, middle, 2.0, 3.0, np.nan]))
         bar = colour_table(scale.colours)

@@ -35,11 +35,11 @@ def test_recording_opens_another_window(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
-    started: list[tuple[str | Path, ...]] = []
-    monkeypatch.setattr(window.recording_bar.commands, "start_window", lambda *arguments: started.append(arguments))
+    started: list[Path] = []
+    monkeypatch.setattr(window.recording_bar, "_start_window", started.append)
     write(tmp_path / "run", [make_record(0)])
     drop(window, tmp_path / "run")
-    qtbot.waitUntil(lambda: started == [("--replay", tmp_path / "run")])
+    qtbot.waitUntil(lambda: started == [tmp_path / "run"])
     (tmp_path / "photos").mkdir()
     drop(window, tmp_path / "photos")
     qtbot.waitUntil(lambda: "holds no recording" in window.messages.log)

@@ -26,7 +26,7 @@ def settings(tmp_path: Path) -> QSettings:
 
 @pytest.mark.usefixtures("restored_theme")
 def test_theme_changes_at_once_and_is_kept(qapp: QApplication, qtbot: QtBot, settings: QSettings) -> None:
-    theme.apply_theme(qapp)
+    theme.styled_application()
     parent = QWidget()
     qtbot.addWidget(parent)
     dialog = PreferencesDialog(settings, parent)

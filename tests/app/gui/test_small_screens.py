@@ -29,7 +29,7 @@ from support.window_tools import MakeWindow, dim_frame, views, wait_for_wavefron
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.recording import RecordingPanel
 from app.gui.widgets.texts import ElidedLabel
-from app.gui.widgets.theme import apply_theme
+from app.gui.widgets.theme import styled_application
 from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
 
@@ -168,8 +168,8 @@ def text_of(control: QWidget) -> str:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("restored_theme", "font_size")
-def test_no_text_in_the_controls_is_cut(make_window: MakeWindow, qtbot: QtBot, qapp: QApplication) -> None:
-    apply_theme(qapp)
+def test_no_text_in_the_controls_is_cut(make_window: MakeWindow, qtbot: QtBot) -> None:
+    styled_application()
     window = make_window(FakeCamera())
     window.connect_devices()
     wait_for_wavefront(qtbot, window)

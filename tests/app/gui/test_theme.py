@@ -50,7 +50,7 @@ def luminance(colour: QColor) -> float:
 @pytest.mark.parametrize("scheme", [Qt.ColorScheme.Dark, Qt.ColorScheme.Light, Qt.ColorScheme.Unknown])
 def test_theme_follows_the_desktop_and_is_legible(qapp: QApplication, desktop: Desktop, scheme: Qt.ColorScheme) -> None:
     desktop.scheme = scheme
-    theme.apply_theme(qapp)
+    theme.styled_application()
     ground = qapp.palette().color(QPalette.ColorRole.Window)
     assert (luminance(ground) > 0.5) == (scheme is Qt.ColorScheme.Light)
     assert theme.TEXT.name() in qapp.styleSheet()
@@ -69,11 +69,9 @@ def share(window: QWidget, colour: str) -> int:
 @pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.usefixtures("restored_theme")
-def test_open_window_follows_the_desktop(
-    qapp: QApplication, desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot
-) -> None:
+def test_open_window_follows_the_desktop(desktop: Desktop, live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
     window, _ = live
-    theme.apply_theme(qapp)
+    theme.styled_application()
     for panel in tabs(window).values():
         window.docks.show_panel(panel)
         QApplication.processEvents()
