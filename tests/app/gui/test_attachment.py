@@ -55,9 +55,12 @@ def test_window_prepares_no_estimator_to_show_frames(
         newest(notebook)
         prepare = Reconstructor.__init__
         prepared: list[object] = []
-        monkeypatch.setattr(
-            Reconstructor, "__init__", lambda made, *a, **b: prepared.append(made) or prepare(made, *a, **b)
-        )
+
+        def noted(made: Reconstructor, *arguments: Any, **named: Any) -> None:
+            prepared.append(made)
+            prepare(made, *arguments, **named)
+
+        monkeypatch.setattr(Reconstructor, "__init__", noted)
         window = make_window()
         window.open(InstrumentFactory(lambda: reach("window", takes_control=False), lambda _: ()))
         wait_for_wavefront(qtbot, window)

@@ -190,7 +190,8 @@ def assert_same_wavefronts(found: Wavefront, sent: Wavefront) -> None:
     assert 0 < np.isfinite(found.views).sum() < found.views.size
     np.testing.assert_array_equal(found.sigma(), sent.sigma())
     more = (Wavefront.of(one.sensor, with_views(one.field, 4), one.displacement, one.solution) for one in (found, sent))
-    np.testing.assert_allclose(*(each.sigma() for each in more), rtol=1e-4)
+    here, there = (each.sigma() for each in more)
+    np.testing.assert_allclose(here, there, rtol=1e-4)
     at = np.array([-2e-4, 1.5e-4]), np.array([1e-4, 3e-4])
     np.testing.assert_array_equal(found.at(*at), sent.at(*at))
     assert found.sample.ratios == sent.sample.ratios
@@ -202,8 +203,8 @@ def assert_same_wavefronts(found: Wavefront, sent: Wavefront) -> None:
     if isinstance(found.solution, ModalSolution) and isinstance(sent.solution, ModalSolution):
         for part in ("coefficients", "coefficients_sigma", "known", "misfit", "chi_square", "covariance"):
             np.testing.assert_array_equal(getattr(found.solution, part), getattr(sent.solution, part), part)
-        one, other = (fit_coefficients(ModalFit.of(each), "zernike", 3) for each in (found, sent))
-        np.testing.assert_array_equal(one.rad, other.rad)
+        rad, sent_rad = (fit_coefficients(ModalFit.of(each), "zernike", 3).rad for each in (found, sent))
+        np.testing.assert_array_equal(rad, sent_rad)
         np.testing.assert_array_equal(
             slope_residual(found, found.solution.modes), slope_residual(sent, sent.solution.modes)
         )
