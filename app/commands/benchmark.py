@@ -85,6 +85,8 @@ def benchmark(
         with terminal.progress_bar() as progress:
             rate_hz = find_rate(plan, progress) if camera_rate == "find" else _rate(camera_rate)
             figures = benchmark_acquisition(plan(rate_hz or _SLOWEST_HZ), progress)
+        if camera_rate == "find":
+            figures = replace(figures, processor_s=None)  # it is that of all probes
         print_figures(figures)
         numbers, missed = figures.tree(), figures.missed()
         if camera_rate == "find":
