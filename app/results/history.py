@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 
@@ -18,22 +17,13 @@ UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"} 
 _CALM_S = 2.0  # within its limits, until a series is back
 
 
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """Statistics of a series, in its unit; NaN without values."""
-
-    mean: float
-    sigma: float  # standard deviation; NaN for one value
-    peak_to_peak: float
-
-    @classmethod
-    def of(cls, values: Floats) -> Self:
-        """Take the statistics of values (time,), without the gaps."""
-        known = values[np.isfinite(values)]
-        if not known.size:
-            return cls(*[math.nan] * 3)
-        sigma = float(np.std(known, ddof=1)) if known.size > 1 else math.nan
-        return cls(float(np.mean(known)), sigma, float(np.ptp(known)))
+def drift(values: Floats) -> tuple[float, float, float]:
+    """Return mean, standard deviation and peak to peak of values (time,), without the gaps; NaN if unknown."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return math.nan, math.nan, math.nan
+    sigma = float(np.std(known, ddof=1)) if known.size > 1 else math.nan
+    return float(np.mean(known)), sigma, float(np.ptp(known))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +117,7 @@ class History:
         self._series.pop(name, None)
 
 
-def values_of_frame(
+def sample(
     measurement: Measurement, shown: Wavefront | None, *, full_scale: float, temperature_c: float | None
 ) -> tuple[float, dict[str, float]]:
     """Return the time of a frame, s, and the series of every frame: RMS, fill, delay, temperature."""

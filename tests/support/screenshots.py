@@ -93,7 +93,7 @@ class Photographer:
             self._save(quantity.lower(), window)
         window.panels.lenslet.inspect(7, 7)
         for name, panel in tabs(window).items():
-            window.docks.show_panel(panel)
+            panel.front_requested.emit()
             analysis = window.analyses.of[panel]
             if panel.request() is not None:
                 self._wait(lambda analysis=analysis: analysis.request is not None and not analysis.is_busy)  # type: ignore[misc] # mypy and defaults

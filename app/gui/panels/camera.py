@@ -96,7 +96,7 @@ class CameraPanel(Panel):
         over.setAlignment(self._placeholder, Qt.AlignmentFlag.AlignCenter)
 
     def _make_picture(self) -> None:
-        self._graphics = Picture(self._zoom_out, self._point_at)
+        self._graphics = Picture(self._point_at)
         self._view = DrawingView(invertY=True, lockAspect=True, enableMenu=False, defaultPadding=0)
         self._graphics.setCentralItem(self._view)
         self._graphics.setMinimumSize(220, 70)
@@ -165,7 +165,6 @@ class CameraPanel(Panel):
         return any(panel.isVisible() for panel in (self, *self.counts_for))
 
     def request(self) -> Request | None:
-        """Count the pixels, and measure in the picture."""
         measurement, choice = self.shown.measurement, (self.full_scale, self.measuring.selection)
         if measurement is None:
             return None
@@ -222,10 +221,6 @@ class CameraPanel(Panel):
         black, white = self.shown.levels or (0.0, 0.0)
         if max(abs(low - black), abs(max(high, low + 1) - white)) > _LEVELS_SLACK * (white - black):
             self._show_levels(low, high)
-
-    def _zoom_out(self) -> None:
-        self._click_timer.stop()
-        self.reset_zoom()
 
     def reset_zoom(self) -> None:
         if self._frame is not None:
@@ -293,11 +288,11 @@ class CameraPanel(Panel):
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
 
     def _click(self, event: Any) -> None:  # pyqtgraph declares no types
-        """Inspect a lenslet at a single left click, unless a tool is in use."""
-        if event.button() != Qt.MouseButton.LeftButton or self._view.is_drawing:
-            return
+        """Show the whole frame at a double click; inspect a lenslet at a single left one, unless a tool is in use."""
         self._click_timer.stop()
-        if not event.double():
+        if event.double():
+            self.reset_zoom()
+        elif event.button() == Qt.MouseButton.LeftButton and not self._view.is_drawing:
             self._clicked_at = self._lenslet_at(event.scenePos())
             self._click_timer.start(QApplication.doubleClickInterval())  # it may be the first of two
 

@@ -210,7 +210,6 @@ class ControlsPanel(Panel):
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
 
     def show_numbers(self) -> None:
-        """Show the brightness of a recent frame."""
         statistics = self.shown.statistics
         if self.shown.measurement is None or statistics is None:
             return

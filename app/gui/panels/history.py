@@ -21,18 +21,7 @@ from app.gui.widgets.layouts import Item, Scrolled, column, fill_dialog, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
-from app.results.history import (
-    DELAY,
-    FILL,
-    RMS,
-    TEMPERATURE,
-    UNITS,
-    Drift,
-    History,
-    LimitWatch,
-    SeriesLimits,
-    values_of_frame,
-)
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, History, LimitWatch, SeriesLimits, drift, sample
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
@@ -92,10 +81,10 @@ class StripChart(QWidget):
         self.value.setText(f"{number(float(values[-1]))} {unit}" if is_known else NOTHING)
         colour_text(self.value, theme.RED if is_known and limits.broken_by(float(values[-1])) else theme.TEXT)
 
-    def show_drift(self, found: Drift, samples: int) -> None:
-        sigma = f"\N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 2)}"
-        self.drift[0].setText(f"mean {number(found.mean, 4)}  {sigma}")
-        self.drift[1].setText(f"peak to peak {number(found.peak_to_peak, 2)}")
+    def show_drift(self, values: Floats, samples: int) -> None:
+        mean, sigma, peak_to_peak = drift(values[-samples:])
+        self.drift[0].setText(f"mean {number(mean, 4)}  \N{GREEK SMALL LETTER SIGMA} {number(sigma, 2)}")
+        self.drift[1].setText(f"peak to peak {number(peak_to_peak, 2)}")
         for each in self.drift:
             each.setToolTip(f"Mean, standard deviation and peak to peak of the last {samples} samples")
 
@@ -220,7 +209,7 @@ class HistoryPanel(Panel):
         if measurement is None or status is None:
             return None
         full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
-        take = partial(values_of_frame, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
+        take = partial(sample, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
         return Request(measurement, None, lambda _: take(), _INTERVAL_S)
 
     def show_result(self, found: tuple[float, dict[str, float]]) -> None:
@@ -255,8 +244,7 @@ class HistoryPanel(Panel):
             limit = limits.get(name, SeriesLimits())
             shown_limits = SeriesLimits(limit.lowest * factor, limit.highest * factor)
             chart.show_series(time_s[recent] / 60, values[recent], span_min, unit, shown_limits)
-            samples = self.samples.currentData()
-            chart.show_drift(Drift.of(values[-samples:]), samples)
+            chart.show_drift(values, self.samples.currentData())
 
     def catch_up(self) -> None:
         super().catch_up()

@@ -83,7 +83,6 @@ class LensletPanel(Panel):
             tile.show_maps(None)
 
     def forget_bench(self) -> None:
-        """Forget the lenslet: the next bench may not have it."""
         self.select(None)
 
     def show_numbers(self) -> None:
@@ -107,7 +106,6 @@ class LensletPanel(Panel):
         return Request(measurement, lenslet, lambda _: inspect_lenslet(measurement, *lenslet))
 
     def show_result(self, found: LensletInspection | None) -> None:
-        """Show an inspection; None without a reference."""
         if found is None:
             self.show_nothing()
             return

@@ -61,7 +61,6 @@ class DisplayState(QObject):
 
     @property
     def per_rad(self) -> float:
-        """One radian in the unit."""
         return self.unit.per_rad(self.wavelength_m)
 
     @property

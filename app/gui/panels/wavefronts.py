@@ -341,7 +341,7 @@ class DisplayMenu(QMenu):
         self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
         square = [(f"{n} \N{MULTIPLICATION SIGN} {n}", n) for n in range(1, MOST_VIEWS + 1)]
         grids = [("As in the bench", None), *square]
-        self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
+        self.grids = self._add_choices("Views", "grid", grids, lambda count: self.change(views=count))
 
     def change(self, **changes: Any) -> None:
         self.options = replace(self.options, **changes)

@@ -52,7 +52,6 @@ class Benches(QObject):
         settings: SettingsControl,
         saved: QSettings | None,
     ) -> None:
-        """`saved` has the recent benches and the last one."""
         super().__init__(window)
         self._window, self._connect, self._messages = window, connect, controller.messages
         self._controller, self._settings, self._saved = controller, settings, saved

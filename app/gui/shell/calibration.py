@@ -148,7 +148,7 @@ class CalibrationGuide(QDialog):
             self._ask(text, "Done", lambda: self._controller.send(note, lambda _: self._next(), self._fail))
             return
         self._mark(step, "running", "running \N{HORIZONTAL ELLIPSIS}")
-        self._show_question("", "", "Cancel", self.reject)
+        self._ask("", no="Cancel", refuse=self.reject)
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
 
     def _finish(self, result: object) -> None:
@@ -161,16 +161,16 @@ class CalibrationGuide(QDialog):
             text = lattice_found(result)
             if status is not None and has_moved(result.lattice, status):
                 self._mark(step, "failed", text)
-                use = partial(self._take_lattice, step, text, result.lattice)
+
+                def use() -> None:
+                    self._mark(step, "done", text)
+                    self.use_lattice(result.lattice)
+                    self._next()
+
                 question = "The bench has another lattice."
                 self._ask(question, "Use this one", use, "Keep that of the bench", self._next)
                 return
         self._mark(step, "done", text)
-        self._next()
-
-    def _take_lattice(self, step: CalibrationStep, text: str, lattice: Lattice) -> None:
-        self._mark(step, "done", text)
-        self.use_lattice(lattice)
         self._next()
 
     def _fail(self, error: Exception) -> None:
@@ -191,27 +191,24 @@ class CalibrationGuide(QDialog):
         if self._left:
             self._mark(self._left[0], "failed", self.results[self._left[0]].text() if text == "stopped" else text)
         self._left, self._is_running = [], False
-        self._show_question(text, "", "Close", self.close)
+        self._ask(text, no="Close", refuse=self.close)
 
     def _ask(
         self,
         question: str,
-        yes: str,
-        accept: Callable[[], object],
+        yes: str = "",
+        accept: Callable[[], object] = lambda: None,
         no: str = "Stop",
         refuse: Callable[[], object] | None = None,
     ) -> None:
-        """Ask a question; without another refusal, it stops the calibration."""
-        self._answers[True] = accept
-        self._show_question(question, yes, no, refuse or partial(self._end, "stopped"))
-        self.yes.setFocus()
-
-    def _show_question(self, question: str, yes: str, no: str, refuse: Callable[[], object]) -> None:
-        self._answers[False] = refuse
+        """Ask a question; without a "yes" it only has the other button, which stops the calibration by default."""
+        self._answers = {True: accept, False: refuse or partial(self._end, "stopped")}
         self.question.setText(question[:1].upper() + question[1:])
         self.yes.setText(yes)
         self.yes.setVisible(bool(yes))
         self.no.setText(no)
+        if yes:
+            self.yes.setFocus()
 
     def _mark(self, step: CalibrationStep, state: str, text: str) -> None:
         lamp = theme.lamp(theme.ACCENT)

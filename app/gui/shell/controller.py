@@ -4,7 +4,6 @@ import time
 from collections.abc import Callable
 from concurrent.futures import CancelledError, Future
 from functools import partial
-from pathlib import Path
 from typing import Any, TypeVar
 
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
@@ -69,7 +68,6 @@ class Controller(QObject):
 
     @property
     def is_silent(self) -> bool:
-        """True if the instrument's process does not answer."""
         return self._process is not None and self._process.is_silent
 
     @property
@@ -89,7 +87,6 @@ class Controller(QObject):
 
     @property
     def may_take_control(self) -> bool:
-        """True if this window could take control."""
         connection = self.connection
         return connection is not None and not connection.has_control and not connection.is_silent
 
@@ -195,11 +192,6 @@ class Controller(QObject):
         self.messages.clear_notice()
         self._pending.append((future, then, otherwise))
         return future
-
-    def show_file(self, path: Path) -> None:
-        """Show a frame of a file in place of the camera's."""
-        text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
-        self.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
 
     def cancel(self) -> None:
         if self.acquisition is not None:

@@ -49,7 +49,7 @@ class SensorRegionDialog(QDialog):
         ]
         self.binning = Choice("Sensor pixels per frame pixel, along both axes")
         self.limits, self.in_force = label("", "dim"), label("", "dim")
-        self.whole = Button("Whole sensor", "Fill in the whole sensor", self._fill_whole)
+        self.whole = Button("Whole sensor", "Fill in the whole sensor", lambda: self.fill(self._sensor))
         about = "Fill in all lenslets with a margin of half a pitch"
         self.around = Button("Around the lattice", about, self._fill_around)
         self.apply = Button("Apply", "Set the region; then take a new dark (D) and reference (R)", self._set_area)
@@ -96,8 +96,12 @@ class SensorRegionDialog(QDialog):
             self.binning.setCurrentText(str(area.binning))
             self.fill(area.region)
 
-    def fill(self, region: Region) -> None:
-        if self._status is None:
+    @property
+    def _sensor(self) -> Region | None:
+        return None if self._status is None else self._status.capabilities.sensor
+
+    def fill(self, region: Region | None) -> None:
+        if self._status is None or region is None:
             return
         allowed = self._status.capabilities
         whole = allowed.sensor or region
@@ -106,15 +110,11 @@ class SensorRegionDialog(QDialog):
             side.setSingleStep(allowed.region_step_px)
             side.show_value(value, Range(0, limit))
 
-    def _fill_whole(self) -> None:
-        if self._status is not None and self._status.capabilities.sensor is not None:
-            self.fill(self._status.capabilities.sensor)
-
     def _fill_around(self) -> None:
-        status = self._controller.status
-        if status is not None and status.lattice is not None and status.capabilities.sensor is not None:
+        status, sensor = self._status, self._sensor
+        if status is not None and status.lattice is not None and sensor is not None:
             region = region_around(status.lattice, status.bench.sensor, status.area)
-            self.fill(in_steps(region, status.capabilities.sensor, status.capabilities.region_step_px))
+            self.fill(in_steps(region, sensor, status.capabilities.region_step_px))
 
     def _set_area(self) -> None:
         if all(side.commit() for side in self._sides):

@@ -37,6 +37,8 @@ class Dock(QDockWidget):
         policy = panel.sizePolicy()
         policy.setRetainSizeWhenHidden(True)
         panel.setSizePolicy(policy)
+        panel.front_requested.connect(self.show)
+        panel.front_requested.connect(self.raise_)
         self.visibilityChanged.connect(panel.setVisible)  # Qt calls a panel behind another tab visible
         # From behind a tab it floats without that signal.
         self.topLevelChanged.connect(lambda floats: panel.setVisible(floats or panel.isVisible()))
@@ -91,7 +93,6 @@ class PanelDocks:
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
                 changed.connect(lambda *_: self.settle.start())
-            dock.panel.front_requested.connect(lambda panel=dock.panel: self.show_panel(panel))
         left = self._at("left")
         window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
         window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
@@ -125,12 +126,6 @@ class PanelDocks:
         for dock in is_open or self._closed or self._tabs:
             dock.setVisible(not is_open)
         self._closed = is_open
-
-    def show_panel(self, panel: QWidget) -> None:
-        for dock in self.docks:
-            if dock.panel is panel:
-                dock.show()
-                dock.raise_()
 
     def float_panels(self, *panels: QWidget) -> None:
         """Make each of these panels a window of its own, so that all are visible."""

@@ -94,7 +94,6 @@ class LightControl:
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle
 
     def take(self, step: CalibrationStep, frames: int) -> None:
-        """Average frames for a dark or a reference."""
         if self._must_ask(is_on=step.is_lit):
             self._ask_by_hand(is_on=step.is_lit, then=lambda: self.take(step, frames))
         else:

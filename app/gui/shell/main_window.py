@@ -265,6 +265,7 @@ class MainWindow(QMainWindow):
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(self._activity, may_cancel=is_ready)
+        self.replay.refresh()
         self._refreshes += 1
         if self._failure:
             self.update_text()
@@ -337,7 +338,8 @@ class MainWindow(QMainWindow):
         elif path.suffix == ".toml":
             self.benches.open(str(path))
         elif path.suffix.lower() in SUFFIXES:
-            self.controller.show_file(path)
+            text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
+            self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
         else:
             kinds = "a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
             self.messages.warn(f"{path.name}: drop {kinds}")
@@ -408,7 +410,6 @@ class MainWindow(QMainWindow):
         return is_handled
 
     def save_screenshot(self) -> None:
-        """Save a picture of the window in the user's picture folder."""
         folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
         path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
         write = partial(write_picture, path, self.grab().toImage())

@@ -154,7 +154,6 @@ class RecordingBar(QFrame):
         self._of_limit = (label("Stop after", "dim"), self.stop_after, self.unit)
 
     def _make_uses(self) -> None:
-        """Make the buttons of a finished recording."""
         self.open = Button("Open folder", "Show the files", lambda: self._use(self._show))
         about = "Play it in another window; the devices go on here"
         self.replay = Button("Replay", about, lambda: self._use(self.play))
@@ -234,7 +233,6 @@ class RecordingBar(QFrame):
                     self._finish(ended)
 
     def _query_disk(self, acquisition: RunningInstrument) -> None:
-        """Ask for the free disk space every five seconds."""
         if self._asked_disk is not None and self._asked_disk.done():
             is_unknown = self._asked_disk.exception() is not None  # the start of a recording reports it
             self._free_minutes = math.inf if is_unknown else self._asked_disk.result()
@@ -258,7 +256,6 @@ class RecordingBar(QFrame):
             self.play(Path(chosen))
 
     def play(self, folder: Path) -> None:
-        """Open a recording in another window."""
         self._opening.run(partial(read_run, folder), lambda _: self._start_window(folder))
 
     def _start_window(self, folder: Path) -> None:

@@ -12,7 +12,6 @@ from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice
 from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import label
-from app.gui.widgets.timers import REFRESH_MS, timer
 from app.recording.recover import frames_in_words
 from app.results.player import Player
 
@@ -66,7 +65,6 @@ class ReplayBar(QFrame):
         steps = self.back, self.play, self.forth
         parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
         fill_strip(self, *parts)
-        self._timer = timer(self, REFRESH_MS, self.refresh)
         self.use(None)
 
     def use(self, player: Player | None) -> None:
@@ -79,7 +77,6 @@ class ReplayBar(QFrame):
         for step in (self.back, self.forth):
             step.setEnabled(player is not None)
         if player is None:
-            self._timer.stop()
             return
         self._controls.enable_devices(is_enabled=False)
         with QSignalBlocker(self.slider):  # it stands where the recording before was
@@ -87,7 +84,6 @@ class ReplayBar(QFrame):
             self.slider.setValue(0)
         last = player.frames[-1]
         self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last} ... {last}  "))
-        self._timer.start()
 
     def show_status(self, status: Status) -> None:
         """Show whether the recording plays; disable the devices, which the status has enabled."""
@@ -97,7 +93,7 @@ class ReplayBar(QFrame):
             self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
 
     def refresh(self) -> None:
-        """Show the position, and go to the wanted one as soon as the last move is done."""
+        """Show the position, and go to the wanted one as soon as the last move is done; called at each refresh."""
         player = self._player
         if player is None:
             return

@@ -24,7 +24,7 @@ _SATURATED = "saturated"  # in a problem of a frame
 
 
 class AlarmTracker:
-    """Follows status and failure of the acquisition."""
+    """Alarms about the frames of the present conditions."""
 
     def __init__(self) -> None:
         self._conditions: tuple[object, ...] = ()  # of the frames

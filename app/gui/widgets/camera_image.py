@@ -14,7 +14,7 @@ import pyqtgraph as pg
 from numpy.typing import NDArray
 from PyQt6 import sip
 from PyQt6.QtCore import QEvent, QLineF, QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QImage, QMouseEvent, QPainter
+from PyQt6.QtGui import QColor, QImage, QPainter
 from PyQt6.QtWidgets import QWidget
 
 from app.gui.widgets import theme
@@ -64,7 +64,6 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
         return QRectF(-0.5, -0.5, columns, rows)
 
     def colours(self, counts: Counts) -> Pixels:
-        """Return the colour of each count."""
         table, found = count_colours(*self._look, theme.RED_ON_IMAGE.rgb()), np.empty(counts.shape, np.uint32)
         table.take(counts, out=found, mode="clip")  # every count is in the table; other modes copy the result
         return found
@@ -86,15 +85,11 @@ class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
 
 
 class Picture(Canvas):
-    """The view of the camera image; tells of double clicks, and that the pointer has left."""
+    """The view of the camera image; calls `left` when the pointer has left it."""
 
-    def __init__(self, double_clicked: Callable[[], None], left: Callable[[], None]) -> None:
+    def __init__(self, left: Callable[[], None]) -> None:
         super().__init__()
-        self._double_clicked, self._left = double_clicked, left
-
-    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().mouseDoubleClickEvent(event)
-        self._double_clicked()
+        self._left = left
 
     def leaveEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
         super().leaveEvent(event)

@@ -98,7 +98,6 @@ class SurfaceView(QWidget):
         self.setToolTip("Drag to turn the surface")
 
     def show_map(self, maps: Maps | None) -> None:
-        """Show the map of one view, or nothing."""
         self._maps = maps
         self.update()
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt
-from PyQt6.QtGui import QBrush, QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
+from PyQt6.QtGui import QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QApplication, QMessageBox, QWidget
 
 _PAIRS: list[tuple[QColor, str, str]] = []  # of the dark and of the light theme
@@ -177,11 +177,6 @@ def start_or_stop(*, is_running: bool) -> QIcon:
     else:
         path.addPolygon(QPolygonF([QPointF(8, 5), QPointF(27, 16), QPointF(8, 27)]))
     return _icon(path, TEXT if is_running else GREEN)
-
-
-def hatching() -> QBrush:
-    """Return the brush for unknown values."""
-    return QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)
 
 
 def _icon(path: QPainterPath, colour: QColor) -> QIcon:

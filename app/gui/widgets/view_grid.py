@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QRegion
+from PyQt6.QtGui import QBrush, QColor, QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
@@ -26,6 +26,7 @@ MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 4  # between the captions of neighbours
 _CAPTIONED = ((2, 50), (1, 40), (0, 0))  # lines and least px: of narrower views only the tool tips have the numbers
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
+_HATCHING = QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)  # of unknown values
 _DIGIT = re.compile(r"\d")
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
@@ -258,12 +259,12 @@ class ViewGrid(QWidget):
 
         Each is clipped to a rectangle: all else Qt fills in threads of its own, and keeps Python's lock until they end.
         """
-        places, hatching, is_known = self.places, theme.hatching(), bool(self._pixels.all())
+        places, is_known = self.places, bool(self._pixels.all())
         if not is_known:
             for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
                 painter.fillRect(places.tile(row, column), theme.RAISED)
                 if self.is_hatched:
-                    painter.fillRect(places.tile(row, column), hatching)
+                    painter.fillRect(places.tile(row, column), _HATCHING)
         ratio = self.devicePixelRatioF()
         width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
         shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)

@@ -92,7 +92,7 @@ def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow, qtbot
     window.show_measurement(make_measurement(pixels, views()))
     count_pixels(qtbot, window)
     assert panel.curve.getData()[1].size == 1  # hidden: nothing is drawn
-    window.docks.show_panel(panel)
+    panel.front_requested.emit()
     QApplication.processEvents()
     window.update_text()
     level, logarithm = panel.curve.getData()
@@ -217,7 +217,7 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
 
 def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow, qtbot: QtBot) -> None:
     camera, levels = window.panels.camera, window.panels.histogram.levels
-    window.docks.show_panel(window.panels.histogram)
+    window.panels.histogram.front_requested.emit()
     pixels = dim_frame()
     pixels[100:130, 50:90] = 5000  # 0.9 %
     window.show_measurement(make_measurement(pixels, views()))

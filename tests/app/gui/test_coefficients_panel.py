@@ -17,7 +17,7 @@ from support.window_tools import MakeWindow, click, dim_frame, tab, views
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
-from app.results.history import DELAY, RMS, TEMPERATURE, values_of_frame
+from app.results.history import DELAY, RMS, TEMPERATURE, sample
 from app.results.shown_wavefront import Unit
 
 
@@ -30,7 +30,7 @@ def measurement(defocus: float) -> Measurement:
 
 def record(window: MainWindow) -> None:
     assert window.shown.measurement is not None
-    found = values_of_frame(window.shown.measurement, window.shown.wavefront, full_scale=65535, temperature_c=-60.0)
+    found = sample(window.shown.measurement, window.shown.wavefront, full_scale=65535, temperature_c=-60.0)
     window.panels.history.show_result(found)
 
 

@@ -25,7 +25,7 @@ from app.results.shown_wavefront import Unit
 @pytest.fixture
 def window(make_window: MakeWindow) -> MainWindow:
     window = make_window()
-    window.docks.show_panel(window.panels.history)
+    window.panels.history.front_requested.emit()
     window.shown.wavelength_m = 462e-9
     return window
 

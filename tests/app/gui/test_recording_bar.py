@@ -159,7 +159,7 @@ def test_report_and_export_run_beside_the_window(
     assert (bar.folder / "report.pdf").read_bytes().startswith(b"%PDF")
     qtbot.waitUntil(lambda: "Exported to" in window.messages.log)
     assert len((tmp_path / "out.csv").read_text().splitlines()) == 3
-    qtbot.waitUntil(lambda: not bar.commands.findChildren(QProcess))
+    qtbot.waitUntil(lambda: not bar.findChildren(QProcess))
 
 
 @pytest.mark.slow

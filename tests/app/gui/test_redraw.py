@@ -102,7 +102,7 @@ def test_hidden_panels_compute_nothing(window: MainWindow, monkeypatch: pytest.M
         settle(window)
     assert calls.made == Counter()
     for panel in (window.panels.camera, window.panels.wavefronts, tabs(window)["Quality"]):
-        window.docks.show_panel(panel)
+        panel.front_requested.emit()
     settle(window)
     assert all(
         calls.made[name] for name in ("mtf", "isoplanatism", "frame_counts", "arrows", "count_colours", "quantity_maps")

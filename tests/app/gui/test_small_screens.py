@@ -100,7 +100,7 @@ def test_camera_is_the_first_tab_on_a_low_screen(make_window: MakeWindow) -> Non
     assert not window.panels.quality.isVisible()
     assert window.width() <= SCREEN.width()
     assert window.height() <= SCREEN.height() - 40
-    window.docks.show_panel(window.panels.quality)
+    window.panels.quality.front_requested.emit()
     settle()
     assert window.panels.quality.height() > 180
     assert not window.panels.camera.isVisible()

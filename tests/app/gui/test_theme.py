@@ -73,20 +73,20 @@ def test_open_window_follows_the_desktop(desktop: Desktop, live: tuple[MainWindo
     window, _ = live
     theme.styled_application()
     for panel in tabs(window).values():
-        window.docks.show_panel(panel)
+        panel.front_requested.emit()
         QApplication.processEvents()
-    window.docks.show_panel(window.panels.quality)
+    window.panels.quality.front_requested.emit()
     dark = {id(colour): colour.name() for colour, _, _ in theme._PAIRS}
     qtbot.waitUntil(lambda: share(window.panels.quality, theme.AMBER.name()) > 0)
     assert share(window, theme.BACKGROUND.name()) > 1e5
     desktop.change(Qt.ColorScheme.Light)
     for panel in (*tabs(window).values(), window.panels.camera, window.panels.wavefronts):
-        window.docks.show_panel(panel)
+        panel.front_requested.emit()
         qtbot.waitUntil(lambda panel=panel: share(panel, theme.BACKGROUND.name()) > 3000)  # type: ignore[misc] # mypy and defaults
         assert theme.BACKGROUND.name() == "#eef0f3"
         for colour in (theme.BACKGROUND, theme.SURFACE, theme.LINE):
             assert share(panel, dark[id(colour)]) < 30, (type(panel).__name__, dark[id(colour)])
-    window.docks.show_panel(window.panels.quality)
+    window.panels.quality.front_requested.emit()
     qtbot.waitUntil(lambda: share(window.panels.quality, theme.AMBER.name()) > 0)
     assert share(window.panels.quality, dark[id(theme.AMBER)]) == 0
     qtbot.waitUntil(lambda: share(window.controls, theme.GREEN.name()) > 20)  # the lamps

@@ -12,7 +12,7 @@ from support.gui_bench import make_measurement
 from support.wavefronts import bowl
 
 from app.errors import RunError
-from app.results.history import DELAY, FILL, RMS, TEMPERATURE, Drift, History, values_of_frame
+from app.results.history import DELAY, FILL, RMS, TEMPERATURE, History, drift, sample
 from reconstruction.wavefront import rms
 
 
@@ -54,18 +54,17 @@ def test_sample_of_a_frame() -> None:
     wavefront = bowl()
     wavefront.views[0, 0] = np.nan
     measurement = replace(make_measurement(pixels, wavefront.views), latency_s=0.0123)
-    time_s, found = values_of_frame(measurement, wavefront, full_scale=4000, temperature_c=-65.0)
+    time_s, found = sample(measurement, wavefront, full_scale=4000, temperature_c=-65.0)
     assert time_s == measurement.frame.host_time_s
     expected = np.nanmean([rms(view) for view in wavefront.views.reshape(9, *wavefront.views.shape[2:])[1:]])
     assert found == pytest.approx({RMS: expected, FILL: 75.0, DELAY: 12.3, TEMPERATURE: -65.0})
-    assert values_of_frame(measurement, None, full_scale=0, temperature_c=None)[1] == {DELAY: 12.3}
+    assert sample(measurement, None, full_scale=0, temperature_c=None)[1] == {DELAY: 12.3}
 
 
 def test_drift_is_that_of_the_known_values() -> None:
-    found = Drift.of(np.array([1.0, np.nan, 3.0, 5.0]))
-    assert (found.mean, found.sigma, found.peak_to_peak) == pytest.approx((3, 2, 4))
-    assert np.isnan(Drift.of(np.array([1.0, np.nan])).sigma)
-    assert np.isnan(Drift.of(np.full(3, np.nan)).mean)
+    assert drift(np.array([1.0, np.nan, 3.0, 5.0])) == pytest.approx((3, 2, 4))
+    assert drift(np.array([1.0, np.nan])) == pytest.approx((1, np.nan, 0), nan_ok=True)
+    assert np.isnan(drift(np.full(3, np.nan))).all()
 
 
 def test_exported_table_holds_all_series_with_units_and_gaps(tmp_path: Path) -> None:
