@@ -43,7 +43,6 @@ class Commands:
     take_reference = _command(Instrument.take_reference)
     use = _command(Instrument.use)
     auto_expose = _command(Instrument.auto_expose)
-    expose_without_sample = _command(Instrument.expose_without_sample)
     check_background = _command(Instrument.check_background)
     find_lattice = _command(Instrument.find_lattice)
     survey_lattice = _command(Instrument.survey_lattice)

@@ -56,31 +56,28 @@ class DarkReferenceStore:
         return None if self._used is None else self._used.average
 
     def keep(self, average: Average, now: AcquisitionSettings) -> None:
-        """Use a new average, and keep it in place of an older one of the same region and mask."""
+        """Use a new average."""
         time = datetime.now().astimezone()
         how = (
             f"{counted(average.frames)} at {time:%H:%M:%S}:"
             f" exposure {now.exposure_s * 1e3:.4g} ms, amplifier {now.amplifier},"
             f" gain {now.em_gain:.4g}, mask {now.mask}"
         )
-        self._used = _Taken(average, now, AverageState(how, f"{time:%H:%M}"))
-        key = self._key(now)
-        self._kept.pop(key, None)
-        self._kept[key] = self._used
-        if len(self._kept) > _MOST:
-            del self._kept[next(iter(self._kept))]
+        self._use(_Taken(average, now, AverageState(how, f"{time:%H:%M}")), now)
 
     def use_recorded(self, average: Average | None, now: AcquisitionSettings) -> None:
         """Use an average of a recording, or none; circumstances that it lacks are assumed unchanged."""
-        self._used = None
-        if average is not None:
+        if average is None:
+            self._use(None, now)
+        else:
             exposure_s, em_gain, amplifier = average.exposure_s, average.em_gain, average.amplifier
             then = replace(now, exposure_s=exposure_s, em_gain=em_gain, amplifier=amplifier)
-            self._used = _Taken(average, then, AverageState("as recorded"))
+            self._use(_Taken(average, then, AverageState("as recorded")), now)
 
-    def choose(self, now: AcquisitionSettings) -> None:
-        """Use the average that was taken of the current region and with the current mask, if there is one."""
+    def choose(self, now: AcquisitionSettings) -> Average | None:
+        """Use the average of the current region and mask, if there is one; return the one in use if it fits."""
         self._used = self._kept.get(self._key(now), self._used)
+        return self.fitting(now)
 
     def fitting(self, now: AcquisitionSettings) -> Average | None:
         """Return the average in use if it shows the same pixels as the current frames."""
@@ -90,13 +87,24 @@ class DarkReferenceStore:
     def doubt(self, now: AcquisitionSettings) -> str:
         """Return why the average does not fit the current frames; empty if it does."""
         if self._used is None:
-            return f"no {self._what} yet: {'take one' if self._is_lit else 'the background is a guess'}"
+            advice = "take the sample out and take one" if self._is_lit else "the background is a guess"
+            return f"no {self._what} yet: {advice}"
         changed = self._used.settings_then.difference(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""
 
     def state(self, doubt: str) -> AverageState:
         """Return the state of the average in use; `doubt` is why it is doubtful, or empty."""
         return replace(AverageState() if self._used is None else self._used.state, doubt=doubt)
+
+    def _use(self, taken: _Taken | None, now: AcquisitionSettings) -> None:
+        """Use it, and keep it in place of an older one of the same region and mask."""
+        key = self._key(now)
+        self._kept.pop(key, None)
+        if taken is not None:
+            self._kept[key] = taken
+        self._used = taken
+        if len(self._kept) > _MOST:
+            del self._kept[next(iter(self._kept))]
 
     def _key(self, settings_then: AcquisitionSettings) -> tuple[Region, int, str]:
         return settings_then.region, settings_then.binning, settings_then.mask if self._is_lit else ""

@@ -3,15 +3,17 @@
 import math
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
+from typing import Any
 
 from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, check_device
-from app.bench.device_kinds import DRIVERS, DeviceKind, DeviceSettings, RecordingSettings
+from app.bench.device_kinds import DRIVERS, DeviceSettings, RecordingSettings
 from app.cache import cache_folder
 from app.errors import InputError
 from app.recording.playback_devices import playback_devices
 from app.recording.reader import Recording
-from drivers.interface import BadValue, Camera, DeviceError, Devices, LightSource
+from drivers.interface import BadValue, Camera, Devices, LightSource
 from drivers.stage import ManualStage
 from reconstruction.annotated_settings import SettingError
 from simulated_devices.bench import SimulatedBench, SimulatedLight, SimulatedStage
@@ -28,76 +30,59 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
         if isinstance(settings := bench.camera, RecordingSettings):
             recording = Recording(settings.folder)
             frames = recording.select(None)
-            devices = playback_devices(recording, frames, pace=settings.pace, repeat=settings.repeat)
-            _check_pitch(bench, stack.enter_context(devices).camera)
-            stack.pop_all()
-            return devices
-        if not bench.is_simulated:
-            return _open_real(bench, progress, stack)
-        simulated = simulated_bench(bench, progress)
-        stack.callback(simulated.close)
-        return Devices(
-            stack.enter_context(SimulatedCamera(simulated)),
-            stage=stack.enter_context(SimulatedStage(simulated)),
-            light=stack.enter_context(SimulatedLight(simulated)),
-            _closing=stack.pop_all(),
-        )
-
-
-def _open_real(bench: Bench, progress: Callable[[float], None], stack: ExitStack) -> Devices:
-    """Open real devices; settings that they refuse are an `InputError`."""
-    section = "camera"
-    try:
-        camera = stack.enter_context(open_camera(bench.camera))
-        _check_pitch(bench, camera)
-        progress(0.5)
-        stage = stack.enter_context(ManualStage(bench.simulation.source.mask))
-        section = "light"
-        light = stack.enter_context(open_light(bench.light))
-        progress(1.0)
-    except BadValue as error:
-        raise InputError(f"{section}: {error}") from error
-    return Devices(camera, light, stage, stack.pop_all())
-
-
-def _check_pitch(bench: Bench, camera: Camera) -> None:
-    pitch_m = camera.capabilities.pixel_pitch_m
-    if pitch_m is not None and not math.isclose(pitch_m, bench.sensor.pixel_pitch_m, rel_tol=_PITCH_TOLERANCE):
-        raise InputError(
-            f"sensor.pixel_pitch_m = {bench.sensor.pixel_pitch_m:g}, but that of {camera.name} is {pitch_m:g}"
-        )
+            devices = stack.enter_context(
+                playback_devices(recording, frames, pace=settings.pace, repeat=settings.repeat)
+            )
+        elif bench.is_simulated:
+            simulated = simulated_bench(bench, progress)
+            stack.callback(simulated.close)
+            devices = Devices(
+                camera=stack.enter_context(SimulatedCamera(simulated)),
+                stage=stack.enter_context(SimulatedStage(simulated)),
+                light=stack.enter_context(SimulatedLight(simulated)),
+            )
+        else:
+            devices = Devices(
+                camera=stack.enter_context(open_camera(bench.camera)),
+                stage=stack.enter_context(ManualStage(bench.simulation.source.mask)),
+                light=stack.enter_context(open_light(bench.light)),
+            )
+        known_m, pitch_m = bench.sensor.pixel_pitch_m, devices.camera.capabilities.pixel_pitch_m
+        if pitch_m is not None and not math.isclose(pitch_m, known_m, rel_tol=_PITCH_TOLERANCE):
+            raise InputError(f"sensor.pixel_pitch_m = {known_m:g}, but that of {devices.camera.name} is {pitch_m:g}")
+        return replace(devices, _closing=stack.pop_all())
 
 
 def open_camera(settings: DeviceSettings) -> Camera:
     """Open a real camera."""
-    camera: Camera = _kind("camera", settings).open(settings)
+    camera: Camera = _opened("camera", settings)
     return camera
 
 
 def open_light(settings: DeviceSettings) -> LightSource:
     """Open a real light in a watchdog, off and at the configured current; a manual one as it is."""
-    kind = _kind("light", settings)
-    light: LightSource = kind.open(settings) if kind.driver == "manual" else WatchdogLight(settings)
-    current_a = getattr(settings, "current_a", None)
-    if current_a is not None:
-        try:
-            light.set_current(current_a)
-        except DeviceError:
-            light.close()
-            raise
+    light: LightSource = _opened("light", settings)
     return light
 
 
-def _kind(section: str, settings: DeviceSettings) -> DeviceKind:
-    """Return what opens the device of these settings, after checking them: they may come from no bench."""
-    try:
-        check_device(section, settings)
-    except SettingError as error:
-        raise InputError(str(error)) from error
+def _opened(section: str, settings: DeviceSettings) -> Any:
+    """Open a device after checking its settings, which may come from no bench; `InputError` if they are refused."""
     kind = DRIVERS[section][settings.driver]
-    if not kind.device:
-        raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")
-    return kind
+    with ExitStack() as stack:
+        try:
+            check_device(section, settings)
+            if not kind.device:
+                raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")
+            is_guarded = section == "light" and kind.driver != "manual"
+            device = stack.enter_context(WatchdogLight(settings) if is_guarded else kind.open(settings))
+            if (current_a := getattr(settings, "current_a", None)) is not None:
+                device.set_current(current_a)
+        except SettingError as error:
+            raise InputError(str(error)) from error
+        except BadValue as error:
+            raise InputError(f"{section}: {error}") from error
+        stack.pop_all()
+        return device
 
 
 def simulated_bench(bench: Bench, progress: Callable[[float], None], clock: Clock | None = None) -> SimulatedBench:

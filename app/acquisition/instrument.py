@@ -50,6 +50,7 @@ WINDOW = "live"  # command of the recordings of a window, and of those that name
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
 
+ProcessName: TypeAlias = Literal["instrument", "watchdog", "background estimator"]
 Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 
 
@@ -57,12 +58,12 @@ Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 class ProcessState:
     """A process of an instrument, by its name and id."""
 
-    name: Literal["instrument", "watchdog", "background estimator"]
+    name: ProcessName
     pid: int
     condition: Condition
 
     @classmethod
-    def of(cls, name: Literal["watchdog", "background estimator"], process: subprocess.Popen[bytes]) -> Self:
+    def of(cls, name: ProcessName, process: subprocess.Popen[bytes]) -> Self:
         """Look at a process that this one has started; only Linux tells that it was stopped."""
         is_gone, is_stopped = process.poll() is not None, stat_of(process.pid)[:1] in (["T"], ["t"])
         return cls(name, process.pid, "gone" if is_gone else "frozen" if is_stopped else "alive")
@@ -96,6 +97,7 @@ class Status:
     mask_note: str = ""  # which deformations the mask hides; empty if it shows all
     is_calibrated: bool = False  # frames can be reconstructed
     has_background_estimator: bool = False  # of layers or a correction, which the first frames show
+    processes: tuple[ProcessState, ...] = ()  # that were started for it
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
 
     @property
@@ -150,21 +152,20 @@ class Instrument:
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
         self._is_of_settings = False  # whether they are the problem, and neither dark nor reference
-        self._problem = "no reference yet: take the sample out and take one"
+        self._problem = self.references.doubt(self._now())
 
     def properties(self) -> dict[str, dict[str, Property]]:
         """All properties of the devices, for a recording."""
         return {name: getattr(self.devices, name).properties() for name in ("camera", "light", "stage")}
 
     def processes(self) -> tuple[ProcessState, ...]:
-        """State of the processes that were started for it; any thread may ask, at any time."""
+        """State of the processes that were started for it."""
         light, solver = self.devices.light, self._solver
-        watchdog = light.watchdog if isinstance(light, WatchdogLight) else None
-        background_estimator = None if solver is None else solver.process
-        return (
-            *([] if watchdog is None else [ProcessState.of("watchdog", watchdog)]),
-            *([] if background_estimator is None else [ProcessState.of("background estimator", background_estimator)]),
-        )
+        started: dict[ProcessName, subprocess.Popen[bytes] | None] = {
+            "watchdog": light.watchdog if isinstance(light, WatchdogLight) else None,
+            "background estimator": None if solver is None else solver.process,
+        }
+        return tuple(ProcessState.of(name, process) for name, process in started.items() if process is not None)
 
     def status(self) -> Status:
         """Query the devices."""
@@ -200,6 +201,7 @@ class Instrument:
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,
             has_background_estimator=self._solver is not None and self._solver.has_background_estimator,
+            processes=self.processes(),
             temperature_c=camera.temperature_c,
         )
 
@@ -257,16 +259,13 @@ class Instrument:
         self.references.use_recorded(calibration.reference, now)
         self._prepare("with the recorded calibration")
 
-    def auto_expose(self) -> AutoExposure:
+    def auto_expose(self, *, without_sample: bool = False) -> AutoExposure:
         """Find and set exposure and current for the light in the beam; `RoutineError` if there are none."""
-        return self._auto_expose(self._callbacks(self, "finding the exposure"))
-
-    def expose_without_sample(self) -> AutoExposure:
-        """Find and set exposure and current for frames without the sample, of which the reference is made."""
-        callbacks = self._callbacks(self, "finding the exposure without the sample")
+        callbacks = self._callbacks(self, "finding the exposure" + " without the sample" * without_sample)
         with restored(self.devices) as state:
-            self.devices.stage.set_sample_in(False)
-            found = self._auto_expose(callbacks)
+            if without_sample:  # of which the reference is made
+                self.devices.stage.set_sample_in(False)
+            found = auto_expose(self.devices, self._pitch_px, callbacks)
             state.exposure_s, state.current_a = found.exposure_s, found.current_a
             return found
 
@@ -316,7 +315,7 @@ class Instrument:
                 raise
         if taken != before:
             self.bench, self._lattice = bench, lattice
-            self._choose_averages("for the new region")
+            self._prepare("for the new region")
             self._recorder.forget_recent()
         return taken
 
@@ -331,14 +330,10 @@ class Instrument:
             after = _changed(before, changes)
         except (ValueError, TypeError, AttributeError) as error:  # inconsistent, or of another program
             raise BadValue(str(error)) from error
-        words = changes_in_words(before, after)
         if mask is not None:
             self.devices.stage.set_mask(mask)  # may refuse: nothing changes
         self.bench = after
-        if mask is None:
-            self._prepare(f"with {words}")
-        else:
-            self._choose_averages(f"for the mask {mask}, with {words}")
+        self._prepare(f"{'' if mask is None else f'for the mask {mask}, '}with {changes_in_words(before, after)}")
 
     def start_recording(
         self, folder: Path, *, command: str = WINDOW, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False
@@ -412,32 +407,21 @@ class Instrument:
     def _pitch_px(self) -> float:
         return self.bench.sensor.lenslet_pitch_px if self._lattice is None else self._lattice.pitch_px
 
-    def _auto_expose(self, callbacks: RoutineCallbacks) -> AutoExposure:
-        return auto_expose(self.devices, self._pitch_px, callbacks)
-
     def _survey(self, reference: Average) -> Survey:
         """Find the lenslets in a reference of the current region; `ReconstructionError` if it shows none."""
         self._show_preparation("finding the lattice")
         dark = self.darks.fitting(self._now())
         return surveyed(self.bench.sensor, reference, dark=dark, full_scale=self.devices.camera.capabilities.full_scale)
 
-    def _choose_averages(self, cause: str) -> None:
-        for averages in (self.darks, self.references):
-            averages.choose(self._now())
-        self._prepare(cause)
-
     def _prepare(self, cause: str) -> None:
         """Prepare the estimator again, the camera paused; a failure becomes the warning in the status."""
         self._estimator = self._before = None
         self.close()
-        reference = self.references.average
-        if reference is None:
-            return
         camera, bench, now = self.devices.camera, self.bench, self._now()
-        if self.references.fitting(now) is None:
+        dark, reference = (averages.choose(now) for averages in (self.darks, self.references))
+        if reference is None:
             self._problem, self._is_of_settings = self.references.doubt(now), False
             return
-        dark = self.darks.fitting(now)
         self._show_preparation(f"preparing the reconstruction {cause}")
         try:
             with camera.paused():

@@ -15,7 +15,7 @@ from app.acquisition.address import NAME
 from app.acquisition.instrument import Status
 from app.acquisition.remote.connection import reach
 from app.acquisition.running_instrument import RunningInstrument
-from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, knows_sample, start_up, without_sample
+from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, is_recorded, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
 from app.errors import RunError
@@ -149,24 +149,26 @@ class LiveBench:
         `measurement.counts` counts them; `record` keeps every frame. It ends with the block, and raises the error that
         ended the acquisition. After the block there is nothing to iterate over: `WrongState`.
         """
-        self._require_open()
-        return self._measurements(self._acquisition)
+        return self._until_failure(iter(self._next, None))
 
-    def _require_open(self) -> None:
+    def _until_failure(self, measurements: Iterator[Measurement]) -> Iterator[Measurement]:
         if not self._acquisition.is_alive:
             self._raise_failure()
             raise WrongState("this live bench is closed: its with block has ended")
 
-    def _measurements(self, acquisition: RunningInstrument) -> Iterator[Measurement]:
-        while True:
-            with self._arrived:
-                while self._newest is None and acquisition.is_alive:
-                    self._arrived.wait(_WAIT_S)
-                measurement, self._newest = self._newest, None
-            if measurement is None:
-                self._raise_failure()
-                return
-            yield measurement
+        def passed_on() -> Iterator[Measurement]:
+            yield from measurements
+            self._raise_failure()
+
+        return passed_on()
+
+    def _next(self) -> Measurement | None:
+        """Wait for a newer measurement; None if none follows."""
+        with self._arrived:
+            while self._newest is None and self._acquisition.is_alive:
+                self._arrived.wait(_WAIT_S)
+            measurement, self._newest = self._newest, None
+            return measurement
 
     @property
     def bench(self) -> Bench:
@@ -279,40 +281,30 @@ class LiveBench:
         """
         acquisition, status = self._acquisition, self._status()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
-        begin = partial(acquisition.start_recording, Path(folder), command=command, limit=limit)
         is_played = self._bench.is_recording  # each of its frames counts
-        if not status.is_running and (is_played or not status.has_background_estimator):
-            self._result(begin())
-            self._start_camera()
-        else:
-            self._start_camera()
+        if is_first := not status.is_running and (is_played or not status.has_background_estimator):
+            self._result(acquisition.start_recording(Path(folder), command=command, limit=limit))
+        self._start_camera()
+        if not is_first:
             text = "finding layers and correction with the first frames"
             self._wait(lambda: knows_sample(acquisition) or not acquisition.is_alive, text)
-            self._result(begin())
+            self._result(acquisition.start_recording(Path(folder), command=command, limit=limit))
 
         def fraction() -> float:
             return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
 
         try:
-            self._wait(self._is_recorded, f"recording {counted(frames)}", fraction)
+            self._wait(lambda: is_recorded(acquisition), f"recording {counted(frames)}", fraction)
         except BaseException:  # Ctrl-C, too: the frames so far are a recording
             acquisition.stop_recording()
-            self._let_finish()
+            ends_s = time.monotonic() + _FINISH_S
+            while time.monotonic() < ends_s and acquisition.is_alive and not is_recorded(acquisition):
+                time.sleep(_WAIT_S)
             raise
         if (state := acquisition.recording) is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
         return Path(folder)
-
-    def _is_recorded(self) -> bool:
-        state = self._acquisition.recording
-        return state is None or state.is_over
-
-    def _let_finish(self) -> None:
-        """Wait for the end of a recording that was stopped early."""
-        ends_s = time.monotonic() + _FINISH_S
-        while time.monotonic() < ends_s and self._acquisition.is_alive and not self._is_recorded():
-            time.sleep(_WAIT_S)
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.set_running(True))
@@ -399,14 +391,7 @@ class ConnectedBench(LiveBench):
         While this program does something else, the newest eight wait for it; `overtaken` counts those that did not.
         Frames that the instrument skipped for lack of time are in `measurement.counts` only.
         """
-        self._require_open()
-        measurements = self._connection.frames.every()
-
-        def until_failure() -> Iterator[Measurement]:
-            yield from measurements
-            self._raise_failure()
-
-        return until_failure()
+        return self._until_failure(self._connection.frames.every())
 
     @property
     def overtaken(self) -> int:

@@ -52,6 +52,11 @@ def knows_sample(acquisition: RunningInstrument) -> bool:
     return newest.assumed.sample is not None and newest.assumed.refinement.stage != "preparing"
 
 
+def is_recorded(acquisition: RunningInstrument) -> bool:
+    """True if the recording is over, or there is none."""
+    return acquisition.recording is None or acquisition.recording.is_over
+
+
 @dataclass(frozen=True, slots=True)
 class CalibrationStep:
     """One routine of the guided calibration; it restores the devices, also when it is cancelled."""
@@ -73,7 +78,7 @@ EXPOSURE = CalibrationStep(
     "Sets the exposure, and if needed the light's current, so that the brightest lenslets fill"
     f" {100 * FILL:.0f} % of the range",
     is_lit=True,
-    begin=lambda to, _: to.expose_without_sample(),
+    begin=lambda to, _: to.auto_expose(without_sample=True),
 )
 DARK = CalibrationStep(
     "Dark",
@@ -174,11 +179,6 @@ class HeadlessRun:
             yield
         here = self.acquisition.timings.summary()
         return asked.result() | {stage: times for stage, times in here.items() if times.count}
-
-    def is_recorded(self) -> bool:
-        """True if the recording is over, or there is none."""
-        state = self.acquisition.recording
-        return state is None or state.is_over
 
     def _check(self) -> None:
         errors = (self.acquisition.error, *(step.exception() for step in self._expected if step.done()))

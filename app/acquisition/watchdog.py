@@ -2,10 +2,10 @@
 
 The light goes off when the instrument's process has ended in any way, closes the pipe, is frozen, or breaks its
 promise to send a sign of life. `WatchdogLight` calls the light through it, over JSON lines: first the settings of the
-light; then [number, method, argument...], answered by {"to": number, "value": ...} or {"to": number, "error": class,
-"text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose promise every
-call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the instrument
-replies [0, "alive"], whatever its worker does. The exit status is 0 if the light was closed in order.
+light; then [number, method or property, argument...], answered by {"to": number, "value": ...} or {"to": number,
+"error": class, "text": ...}. Number 0 has no answer: [0, "keep_alive", seconds] is a sign of life of the worker, whose
+promise every call renews. {"alive": true} comes four times a second, unless a call of the light hangs; a thread of the
+instrument replies [0, "alive"], whatever its worker does. The exit status is 0 if the light was closed in order.
 """
 
 import json
@@ -16,8 +16,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -31,18 +31,6 @@ _SILENT_PULSES = 6  # without an answer or any work, and the instrument counts a
 _HANGING_PULSES = 40  # in one call of the light: drivers give up after 8 s (DC2200) or less
 _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
 _ATTEMPTS = 3  # to reach a light that could not be switched off
-
-# What the instrument may ask; a light is opened off, and its own rules hold here, too.
-_CALLS: dict[str, Callable[..., Any]] = {
-    "properties": lambda light: light.properties(),
-    "range": lambda light: (light.current_range_a.minimum, light.current_range_a.maximum),
-    "current": lambda light: light.current_a,
-    "set_current": lambda light, current_a: light.set_current(current_a),
-    "is_on": lambda light: light.is_on,
-    "set_on": lambda light, on: light.set_on(on),
-    "off_reason": lambda light: light.off_reason,
-    "close": lambda light: light.close(),
-}
 
 
 def stat_of(process: int) -> list[str]:
@@ -67,7 +55,7 @@ class _Pipe:
 
     def send(self, answer: dict[str, Any]) -> None:
         with self._writing, suppress(OSError, ValueError):  # of an instrument that has ended
-            self._output.write(json.dumps(answer) + "\n")
+            self._output.write(json.dumps(answer, default=asdict) + "\n")
             self._output.flush()
 
     def next(self, timeout_s: float) -> str:
@@ -139,8 +127,9 @@ def _end_silence(light: LightSource, silent_s: float) -> None:
 
 
 def _answer(light: LightSource, method: str, arguments: list[Any]) -> dict[str, Any]:
-    try:
-        return {"value": _CALLS[method](light, *arguments)}
+    try:  # a light is opened off, and its own rules hold here, too
+        value = getattr(light, method)
+        return {"value": value(*arguments) if callable(value) else value}
     except DeviceError as error:
         return {"error": type(error).__name__, "text": str(error)}
 

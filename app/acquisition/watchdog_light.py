@@ -76,10 +76,10 @@ class WatchdogLight(LightSource):
         return not self._watchdog.was_taken_over
 
     def _read_range(self) -> Range:
-        return Range(*self._watchdog.call("range"))
+        return Range(**self._watchdog.call("current_range_a"))
 
     def _read_current(self) -> float:
-        return float(self._watchdog.call("current"))
+        return float(self._watchdog.call("current_a"))
 
     def _set_current(self, current_a: float) -> float:
         return float(self._watchdog.call("set_current", current_a))

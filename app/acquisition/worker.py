@@ -36,7 +36,6 @@ P = ParamSpec("P")
 
 _IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
-_PROCESSES_S = 1.0  # between two inspections of the processes
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
 # Without a sign of life in these times, the watchdog switches the light off.
 _ALIVE_S = 1.5  # while the worker waits, and takes frames, ...
@@ -85,9 +84,6 @@ class Acquisition(Commands):
         self._status_due_s = -math.inf  # time of the next poll
         self._activity = Activity("opening the devices")
         self._keep_alive: Callable[[float], None] = lambda _: None
-        self._find_processes: Callable[[], tuple[ProcessState, ...]] = tuple
-        self._processes: tuple[ProcessState, ...] = ()
-        self._processes_due_s = -math.inf
         self._first_frames = 0  # to come, after the last preparation
         self.error: Exception | None = None  # why the worker ended without being asked to
 
@@ -184,10 +180,8 @@ class Acquisition(Commands):
 
     @property
     def processes(self) -> tuple[ProcessState, ...]:
-        """State of the processes that hold the light and search for layers, if any; inspected once a second at most."""
-        if time.monotonic() > self._processes_due_s:
-            self._processes, self._processes_due_s = self._find_processes(), time.monotonic() + _PROCESSES_S
-        return self._processes
+        """State of the processes that hold the light and search for layers, if any."""
+        return () if self.status is None else self.status.processes
 
     @property
     def newest(self) -> Measurement | None:
@@ -243,12 +237,15 @@ class Acquisition(Commands):
             ):
                 devices.light.off_count, self._light = self._off_count, devices.light
                 self._keep_alive = devices.light.keep_alive
-                self._find_processes, self._processes_due_s = instrument.processes, -math.inf
                 self._activity = Activity()
                 self._update_status(instrument)
                 while not self._stopping.is_set():
-                    self._execute_commands(instrument, may_wait=not devices.camera.is_running)
-                    if not devices.camera.is_running:
+                    self._keep_alive(_ALIVE_S)
+                    if execute := self.commands.next(0.0 if devices.camera.is_running else _IDLE_S):
+                        self._keep_alive(_COMMAND_S)
+                        with self.timings.of("command"):
+                            execute(instrument)
+                    elif not devices.camera.is_running:
                         self._poll_status(instrument)
                     else:
                         self._show_alive()
@@ -298,15 +295,6 @@ class Acquisition(Commands):
         self._activity = Activity(text)
         self._path.gap_cause = text
         return RoutineCallbacks(show_progress, should_stop)
-
-    def _execute_commands(self, instrument: Instrument, *, may_wait: bool) -> None:
-        self._keep_alive(_ALIVE_S)
-        execute = self.commands.next(_IDLE_S if may_wait else 0.0)
-        while execute is not None:
-            self._keep_alive(_COMMAND_S)
-            with self.timings.of("command"):
-                execute(instrument)
-            execute = self.commands.next()
 
     def _show_alive(self) -> None:
         frames_s = min(_ALIVE_FRAMES * self._path.measured_in_s, _PREPARATION_S)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from app.acquisition.remote.own_connection import OwnConnection
-from app.acquisition.start_up import HeadlessRun
+from app.acquisition.start_up import HeadlessRun, is_recorded
 from app.bench.config import Bench, write_bench
 from app.errors import InputError, RunError, ended_by
 from app.evaluation import processor_time
@@ -254,7 +254,7 @@ class MeasuredRun(HeadlessRun):
         )
         if folder is not None:
             self.send(lambda to: (to.stop_recording(),))
-            yield from self.until(self.is_recorded, text="measuring", fraction=lambda: 1.0)
+            yield from self.until(lambda: is_recorded(acquisition), text="measuring", fraction=lambda: 1.0)
 
 
 class Limit(NamedTuple):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from app.measurement.routines import RoutineCallbacks, check_lit, next_frame, restored
 from app.progress import counted
 from drivers.interface import BadValue, Camera, Devices, Frame
-from reconstruction.arrays import SIGMA_OF_MEDIAN, Counts
+from reconstruction.arrays import Counts
 
 FRAMES = 20  # default number averaged into the dark, and into the reference
 EXPOSURE_FRAMES = 8  # default number averaged into each exposure that measures the nonlinearity
@@ -133,29 +133,21 @@ def check_background(devices: Devices, dark: Average, frames: int, callbacks: Ro
 
 
 def compare_backgrounds(dark: Average, now: Average, levels: list[float]) -> BackgroundCheck:
-    """Compare two averages without light; `levels` are the mean counts of each frame of `now`."""
+    """Compare two averages without light; `levels` are the mean counts of each of the several frames of `now`."""
     difference = now.mean.astype(np.float64) - dark.mean
     drift = float(np.median(difference))
     per_frame = 1 / dark.frames + 1 / now.frames
     # Hot pixels are noisier; the scatter of few frames is uncertain, hence the common floor.
-    known = [each for each in (dark, now) if each.frames > 1]
-    weights = [each.frames - 1 for each in known]
-    if known:
-        variance = np.average([each.variance.astype(np.float64) for each in known], axis=0, weights=weights)
-        usual = float(np.mean(np.minimum(variance, np.percentile(variance, 99))))
-    else:  # two single frames: their difference has the noise of both
-        spread = SIGMA_OF_MEDIAN * float(np.median(np.abs(difference - drift)))
-        variance = np.full(difference.shape, spread**2 / per_frame)
-        usual = float(variance[0, 0])
-    usual = max(usual, 1 / 12)  # quantisation
+    variances = [each.variance.astype(np.float64) for each in (dark, now)]
+    variance = np.average(variances, axis=0, weights=(dark.frames - 1, now.frames - 1))
+    usual = max(float(np.mean(np.minimum(variance, np.percentile(variance, 99)))), 1 / 12)  # at least quantisation
     variance = np.maximum(variance, usual)
     error = np.sqrt(variance * per_frame)
     changed = np.abs(difference - drift) > np.maximum(_HOT_ERRORS * error, _HOT_NOISES * np.sqrt(usual))
-    jitter = float(np.std(levels, ddof=1)) if len(levels) > 1 else 0.0
     of_pixels = np.sqrt(np.pi / 2 * usual / difference.size)  # standard error of a median
     return BackgroundCheck(
         drift_counts=drift,
-        drift_error_counts=float(np.sqrt(per_frame) * max(jitter, of_pixels)),
+        drift_error_counts=float(np.sqrt(per_frame) * max(np.std(levels, ddof=1), of_pixels)),
         noise_counts=float(np.sqrt(usual)),
         hot_pixels=int(np.count_nonzero(changed & (difference > drift))),
         cooled_pixels=int(np.count_nonzero(changed & (difference < drift))),

@@ -92,7 +92,6 @@ class Connection(Commands):
         self.address, self._takes_control = address, takes_control
         self.timings = Timings()
         self._activity = Activity("starting the instrument", may_cancel=False)
-        self._started: tuple[ProcessState, ...] = ()  # by the instrument
         self._is_gone = False  # whether the instrument's process is
         self._has_state, self._closing = threading.Event(), threading.Event()
         self._ended: Exception | None = None
@@ -125,7 +124,7 @@ class Connection(Commands):
     def processes(self) -> tuple[ProcessState, ...]:
         """State of the instrument's process, and of those that it has started, of which only that one knows."""
         condition: Condition = "gone" if self._is_gone else "frozen" if self.is_silent else "alive"
-        started = () if condition == "frozen" else self._started
+        started = () if condition != "alive" or self.status is None else self.status.processes
         return ProcessState("instrument", self.address.process, condition), *started
 
     @property
@@ -252,7 +251,7 @@ class Connection(Commands):
             self._heard_s = time.monotonic()
             self._take(unpacked(self._socket.recv()))
         if is_gone and self._ended is None:
-            self._is_gone, self._started = True, ()
+            self._is_gone = True
             clear_abandoned(self.address.name, timeout_s=DYING_S)
             process = f"the instrument's process {self.address.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
@@ -290,7 +289,7 @@ class Connection(Commands):
     def _take_state(self, state: State) -> None:
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
         self._activity, self.clients, self.controller = state.activity, state.clients, state.controller
-        self._started, self._is_gone = state.processes, not state.is_alive
+        self._is_gone = not state.is_alive
         if self._is_gone and self._ended is None:
             self._ended = state.ended_by or RunError("the instrument was shut down")
         self._has_state.set()

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 from typing import Any
 
-from app.acquisition.instrument import Activity, ProcessState, Status
+from app.acquisition.instrument import Activity, Status
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals
@@ -77,7 +77,6 @@ class NewStatus:
 class State:
     """What else there is to know of the instrument, but its frames."""
 
-    processes: tuple[ProcessState, ...]  # that it has started
     activity: Activity
     counts: FrameTotals
     recording: RecordingState | None

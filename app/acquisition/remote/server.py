@@ -250,7 +250,6 @@ class Server:
         controller = self._clients.get(self._controller)
         return State(
             activity=acquisition.activity,
-            processes=acquisition.processes,
             counts=acquisition.counts,
             recording=acquisition.recording,
             kept=acquisition.kept,

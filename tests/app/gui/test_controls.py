@@ -220,7 +220,7 @@ def test_exposure_passes_eight_functions_to_the_driver(
         return noting
 
     monkeypatch.setattr(CommandQueue, "submit", note(submit, "test_exposure_passes_eight_functions_to_the_driver"))
-    monkeypatch.setattr(FakeCamera, "_set_exposure", note(set_exposure, "_execute_commands"))
+    monkeypatch.setattr(FakeCamera, "_set_exposure", note(set_exposure, "_work"))
     window.controls.exposure.setValue(30)
     qtbot.waitUntil(lambda: camera.exposure_s == 0.03)
     assert len(passed) + 1 <= 8, passed  # with `submit` itself
