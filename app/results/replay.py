@@ -41,15 +41,10 @@ class Verification:
     def __init__(self, recording: Recording) -> None:
         self._recording = recording
         self._first = ""  # difference beyond the tolerance
-        self._largest = {True: (0.0, -1), False: (0.0, -1)}  # sigma, and the frame; by whether its start is recorded
+        self.largest = {True: (0.0, -1), False: (0.0, -1)}  # sigma, and the frame; by whether its start is recorded
         self.frames = 0  # frames that were reconstructed, or refused, live
         self._skipped = 0
         self.different = 0
-
-    @property
-    def largest_sigma(self) -> float:
-        """Largest difference of a displacement, a coefficient or an RMS, sigma."""
-        return max(self._largest.values())[0]
 
     def take(self, frame: Measurement) -> None:
         """Compare one frame, unless it was skipped live."""
@@ -60,7 +55,7 @@ class Verification:
         self.frames += 1
         problem, apart_sigma = _difference(self._recording, line, frame)
         has_start = self._recording.start(frame.index) is not None
-        self._largest[has_start] = max(self._largest[has_start], (apart_sigma, frame.index), key=itemgetter(0))
+        self.largest[has_start] = max(self.largest[has_start], (apart_sigma, frame.index), key=itemgetter(0))
         limit_sigma = TOLERANCE_SIGMA if has_start else START_TOLERANCE_SIGMA
         if problem or apart_sigma > limit_sigma:
             self.different += 1
@@ -76,7 +71,7 @@ class Verification:
         """The result in words."""
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
-        (apart_sigma, index), (first_sigma, first) = self._largest[True], self._largest[False]
+        (apart_sigma, index), (first_sigma, first) = self.largest[True], self.largest[False]
         largest = (
             f"the largest difference is {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
         )

@@ -29,8 +29,6 @@ from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
 class LensletInspection:
     """One lenslet of one frame; images are light, counts, (row, column), along the lattice."""
 
-    row: int
-    column: int
     outcome: LensletStatus
     reference: Floats
     frame: Floats
@@ -72,8 +70,6 @@ def inspect_lenslet(measurement: Measurement, row: int, column: int) -> LensletI
     share = field_means(displacement.modes)
     variance = np.einsum("q,qdrd,r->d", share, displacement.covariance[row, column], share)
     return LensletInspection(
-        row,
-        column,
         LensletStatus(int(displacement.outcome[row, column])),
         reference.reshape(square),
         np.asarray(frame, np.float64).reshape(square),

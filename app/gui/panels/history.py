@@ -195,10 +195,6 @@ class HistoryPanel(Panel):
         both = f"{lowest} ... {highest}" if NOTHING not in {lowest, highest} else allowed
         return f"{name} {number(value * factor)} {unit} is within its limits: {both} {unit}"
 
-    def _unit_of(self, name: str) -> tuple[str, float]:
-        """Return the unit in which a series is shown, and the factor of its values."""
-        return (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
-
     @property
     def is_needed(self) -> bool:
         """True: it samples measurements also while it is hidden."""
@@ -239,7 +235,8 @@ class HistoryPanel(Panel):
         limits = self.form.limits()
         for name, chart in self.charts.items():
             time_s, values = self.history.series(name)
-            recent, (unit, factor) = time_s >= -60 * span_min, self._unit_of(name)
+            recent = time_s >= -60 * span_min
+            unit, factor = (UNITS[name], 1.0) if name in UNITS else (self.shown.unit, self.shown.per_rad)
             values *= factor
             limit = limits.get(name, SeriesLimits())
             shown_limits = SeriesLimits(limit.lowest * factor, limit.highest * factor)

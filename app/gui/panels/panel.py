@@ -89,7 +89,7 @@ class Request:
 
 
 class Panel(QWidget):
-    """A dockable panel, which overrides what it needs of these methods; `registry` lists all panels."""
+    """A dockable panel, which overrides what it needs of these methods; `app.gui.shell.docks` lists all."""
 
     title: ClassVar[str]
     dock_area: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout

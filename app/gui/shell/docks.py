@@ -1,11 +1,21 @@
-"""Dockable panels of the window: the default layout, and what a user may change in it."""
+"""All panels of the window, a new one needs its line here; their default layout, and what a user may change in it."""
 
-from collections.abc import Iterable
+from typing import NamedTuple, get_type_hints
 
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
-from app.gui.panels.panel import Panel
+from app.gui.panels.camera import CameraPanel
+from app.gui.panels.coefficients import CoefficientsPanel
+from app.gui.panels.controls import ControlsPanel
+from app.gui.panels.corrector import CorrectorPanel
+from app.gui.panels.histogram import HistogramPanel
+from app.gui.panels.history import HistoryPanel
+from app.gui.panels.layers import LayersPanel
+from app.gui.panels.lenslet import LensletPanel
+from app.gui.panels.panel import DisplayState, Panel
+from app.gui.panels.quality import QualityPanel
+from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.widgets.buttons import Slot
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import label
@@ -16,6 +26,31 @@ _MARGIN_PX = 8  # between the contents of a panel and its edge
 _BUTTON_PX = 18
 _LOW_PX = 600  # on lower screens the camera is one of the tabs
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
+
+
+class Panels(NamedTuple):
+    """The panels in the order of tabs and menus."""
+
+    camera: CameraPanel
+    wavefronts: WavefrontPanel
+    quality: QualityPanel
+    coefficients: CoefficientsPanel
+    history: HistoryPanel
+    histogram: HistogramPanel
+    lenslet: LensletPanel
+    layers: LayersPanel
+    corrector: CorrectorPanel
+    controls: ControlsPanel
+
+
+def make_panels(shown: DisplayState) -> Panels:
+    """Make all panels, and connect those that follow each other."""
+    made = Panels(*(kind(shown) for kind in get_type_hints(Panels).values()))
+    made.camera.counts_for = made.controls, made.histogram
+    made.camera.lenslet_clicked.connect(made.lenslet.inspect)
+    made.histogram.levels_chosen.connect(made.camera.use_levels)
+    made.coefficients.pinned.connect(made.history.pin)
+    return made
 
 
 class Dock(QDockWidget):
@@ -76,7 +111,7 @@ class _TitleBar(QWidget):
 class PanelDocks:
     """The docks of a window."""
 
-    def __init__(self, window: QMainWindow, panels: Iterable[Panel], bar: QWidget) -> None:
+    def __init__(self, window: QMainWindow, panels: Panels, bar: QWidget) -> None:
         """Dock all panels in the default layout, with the `bar` above the controls."""
         self._window = window
         self.docks = tuple(map(Dock, panels))

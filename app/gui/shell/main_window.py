@@ -23,13 +23,12 @@ from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.gui.panels.panel import DisplayState, Entries
-from app.gui.panels.registry import make_panels
 from app.gui.shell.analyses import Analyses
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
-from app.gui.shell.docks import PanelDocks
+from app.gui.shell.docks import PanelDocks, make_panels
 from app.gui.shell.help import help_entries
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.light_control import LightControl
@@ -97,7 +96,7 @@ class MainWindow(QMainWindow):
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
         self.recording_bar = RecordingBar(self.controller, self.recording_panel, saved)
-        self.replay = ReplayBar(self.controls)
+        self.replay = ReplayBar(self.controls, self.messages.warn)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
         self.benches = Benches(
@@ -150,8 +149,7 @@ class MainWindow(QMainWindow):
         for panel in self.panels:
             panel.warned.connect(self.messages.warn)
             panel.informed.connect(self.messages.inform)
-        for failed in (self.analyses.failed, self.replay.failed):
-            failed.connect(self.messages.warn)
+        self.analyses.failed.connect(self.messages.warn)
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
         theme.follow(self, self._forget_status)

@@ -41,22 +41,16 @@ def _fill(menu: QMenu, entries: Entries) -> None:
             if key in _EVERYWHERE:
                 action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
             action.triggered.connect(lambda _=False, act=act: act())
-    menu.aboutToShow.connect(lambda: _follow(buttons))
-    menu.aboutToHide.connect(lambda: _enable(buttons))
+    menu.aboutToShow.connect(lambda: _follow(buttons, is_open=True))
+    menu.aboutToHide.connect(lambda: _follow(buttons, is_open=False))
 
 
-def _follow(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
-    """Tick and grey the entries as their buttons."""
+def _follow(buttons: list[tuple[QAction, QAbstractButton]], *, is_open: bool) -> None:
+    """Tick and grey the entries of an open menu as their buttons; the keys of a closed one always work."""
     for action, one in buttons:
-        action.setEnabled(one.isEnabled() and not one.isHidden())
+        action.setEnabled(not is_open or (one.isEnabled() and not one.isHidden()))
         action.setCheckable(one.isCheckable())
         action.setChecked(one.isChecked())
-
-
-def _enable(buttons: list[tuple[QAction, QAbstractButton]]) -> None:
-    """Enable the keys of a closed menu; a button refuses by itself."""
-    for action, _ in buttons:
-        action.setEnabled(True)
 
 
 class RecentFiles:

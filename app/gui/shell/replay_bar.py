@@ -1,8 +1,9 @@
 """The replay bar: play, step, position and speed of a recording in place of the devices."""
 
+from collections.abc import Callable
 from concurrent.futures import Future
 
-from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtGui import QPainter, QPaintEvent
 from PyQt6.QtWidgets import QFrame, QSlider, QStyle
 
@@ -39,14 +40,12 @@ class ReplayBar(QFrame):
     A move stops the replay. While the slider is dragged, only the newest position is shown: reconstruction may be slow.
     """
 
-    failed = pyqtSignal(str)  # why a frame cannot be shown
-
-    def __init__(self, controls: ControlsPanel) -> None:
-        """Play and stop with the start button of the `controls`, whose devices are disabled."""
+    def __init__(self, controls: ControlsPanel, warn: Callable[[str], object]) -> None:
+        """Play and stop with the start button of the `controls`, whose devices are disabled; `warn` of lost frames."""
         super().__init__()
         self.setProperty("role", "strip")
         self._player: Player | None = None
-        self._controls = controls
+        self._controls, self._warn = controls, warn
         self._wanted: int | None = None
         self._target, self._direction = 0, 1  # of the last move
         self._moving: Future[None] | None = None
@@ -107,7 +106,7 @@ class ReplayBar(QFrame):
             except Exception as error:  # noqa: BLE001 - every error is shown
                 self._mark_damaged(player)
                 if self._target not in self.slider.marked:
-                    self.failed.emit(str(error))
+                    self._warn(str(error))
                 elif self._wanted is None:
                     self._wanted = self._sound(self._target)
         if self._wanted is not None:
@@ -123,7 +122,7 @@ class ReplayBar(QFrame):
         damaged = player.damaged
         if new := sorted(damaged.keys() - self.slider.marked):
             names = frames_in_words([player.frames[position] for position in new])
-            self.failed.emit(f"{names} skipped: {damaged[new[-1]]}")
+            self._warn(f"{names} skipped: {damaged[new[-1]]}")
             self.slider.marked = frozenset(damaged)
             self.slider.update()
 

@@ -28,7 +28,7 @@ CAMERA = DiscoveredDevice(kind="camera", driver="genicam", description="a camera
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[Bench]:
     """The benches that the window opens."""
     opened: list[Bench] = []
-    monkeypatch.setattr(MainWindow, "open", lambda self, access: opened.append(access.make().bench))
+    monkeypatch.setattr(MainWindow, "open", lambda self, access: opened.append(access.make.args[0]))
     monkeypatch.setattr(DeviceKind, "discover", lambda kind: ((CAMERA,) if kind.driver == "genicam" else (), ""))
     return opened
 
