@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import gc
 import math
-import sys
 import time
 from collections import Counter, deque
 from collections.abc import Iterator
@@ -52,16 +51,17 @@ class StageTimes:
 _long_work: deque[tuple[float, float, str]] = deque(maxlen=256)  # begin, end and name; threads share Python's lock
 
 
-def _note_work(begin_s: float, end_s: float, name: str) -> None:
-    if end_s > begin_s + _LONG_S:
+def _note_work(begin_s: float, name: str) -> None:
+    """Remember work that ends now, if it was long."""
+    if (end_s := time.perf_counter()) > begin_s + _LONG_S:
         _long_work.append((begin_s, end_s, name))
 
 
-def _cause(begin_s: float, end_s: float, stage: TimedStage) -> str:
-    """Name what ran longest in an interval besides the stage itself."""
+def _cause(begin_s: float, stage: TimedStage) -> str:
+    """Name what has run longest since a time besides the stage itself."""
     overlaps = Counter[str]()
     for other_s, until_s, name in tuple(_long_work):
-        overlaps[name] += round(1e3 * max(min(until_s, end_s) - max(other_s, begin_s), 0.0))
+        overlaps[name] += round(1e3 * max(until_s - max(other_s, begin_s), 0.0))
     del overlaps[stage]
     return ", ".join(f"{name} {ms} ms" for name, ms in overlaps.most_common(_CAUSES) if ms)
 
@@ -69,33 +69,15 @@ def _cause(begin_s: float, end_s: float, stage: TimedStage) -> str:
 @cache
 def _watch_garbage_collection() -> None:
     """Note long garbage collections from now on."""
-    begin_s = 0.0
+    begun_s: list[float] = []
 
     def note(phase: str, _: dict[str, int]) -> None:
-        nonlocal begin_s
         if phase == "start":
-            begin_s = time.perf_counter()
-        else:
-            _note_work(begin_s, time.perf_counter(), "garbage collection")
+            begun_s.append(time.perf_counter())
+        elif begun_s:
+            _note_work(begun_s.pop(), "garbage collection")
 
     gc.callbacks.append(note)
-
-
-class _Imports:
-    """Notes imports that happen between two times of any stage."""
-
-    def __init__(self) -> None:
-        self._modules, self._looked_s = len(sys.modules), math.inf
-
-    def look(self, now_s: float) -> None:
-        before, begin_s = self._modules, self._looked_s
-        self._modules, self._looked_s = len(sys.modules), now_s
-        if self._modules > before:
-            first = list(sys.modules)[before].partition(".")[0]
-            _note_work(begin_s, now_s, f"import of {first} ({self._modules - before} modules)")
-
-
-_imports = _Imports()
 
 
 class _Ring:
@@ -109,8 +91,7 @@ class _Ring:
         self._times_s[self._count % len(self._times_s)] = seconds
         self._count += 1
         if not seconds <= self._max_s:
-            now_s = time.perf_counter()
-            self._max_s, self._cause = seconds, _cause(now_s - seconds, now_s, stage)
+            self._max_s, self._cause = seconds, _cause(time.perf_counter() - seconds, stage)
 
     def forget_longest(self) -> None:
         self._max_s, self._cause = math.nan, ""
@@ -132,10 +113,8 @@ class Timings:
 
     def note(self, stage: TimedStage, seconds: float) -> None:
         """Add one time of a stage that has just ended."""
-        now_s = time.perf_counter()
-        _imports.look(now_s)
         if stage not in _SPANS:
-            _note_work(now_s - seconds, now_s, stage)
+            _note_work(time.perf_counter() - seconds, stage)
         self._rings[stage].note(seconds, stage)
 
     def forget_longest(self) -> None:

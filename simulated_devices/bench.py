@@ -69,13 +69,6 @@ class ReceivedLight:
         image, dose = self.light
         return image * dose
 
-    def is_same_light(self, other: ReceivedLight) -> bool:
-        """True if the other exposure received exactly the same light."""
-        return len(self.parts) == len(other.parts) and all(
-            image is other_image and dose == other_dose
-            for (image, dose), (other_image, other_dose) in zip(self.parts, other.parts, strict=True)
-        )
-
 
 class SimulatedBench:
     """A bench whose images are rendered once and then played.

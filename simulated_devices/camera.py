@@ -59,13 +59,8 @@ class _Shot(NamedTuple):
         rows, columns = slice(part.top, part.top + part.rows), slice(part.left, part.left + part.columns)
         return np.ascontiguousarray(image[rows, columns]), dose
 
-    def is_same(self, other: _Shot) -> bool:
-        """True if both give the same pixels."""
-        is_same_setting = (self.exposure, self.part) == (other.exposure, other.part)
-        return is_same_setting and self.received.is_same_light(other.received)
-
     def key(self) -> object:
-        """Key that another shot has only if it `is_same`, as long as this one lives."""
+        """Key that another shot has only if its pixels are the same, as long as this one lives."""
         return tuple((id(image), float(dose)) for image, dose in self.received.parts), self.exposure, self.part
 
 
@@ -246,7 +241,7 @@ class SimulatedCamera(Camera):
         if noises := self._settings.noise_frames:
             return self._repeated(shot._replace(exposure=replace(shot.exposure, index=index % noises)))
         expected = self._expected.result() if self._expected else None
-        pixels = expected[1] if expected and expected[0].is_same(shot) else self._computed(shot)
+        pixels = expected[1] if expected and expected[0].key() == shot.key() else self._computed(shot)
         run = self._run_of(index + 1)
         self._expected = self._ahead.submit(self._computed_ahead, run, index + 1)
         return pixels

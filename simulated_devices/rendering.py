@@ -137,14 +137,11 @@ class Renderer:
         self, render: Callable[[Renderer, OnFraction | None], NDArray[np.float32]], progress: OnFraction | None
     ) -> NDArray[np.float32]:
         """Add up the images of all lines."""
-        lines = self.lines
-        if len(lines) == 1:
-            return render(lines[0][1], progress)
 
         def part(first: int) -> OnFraction | None:
-            return progress and (lambda done: progress((first + done) / len(lines)))
+            return progress and (lambda done: progress((first + done) / len(self.lines)))
 
-        images = (share * render(line, part(first)) for first, (share, line) in enumerate(lines))
+        images = (share * render(line, part(first)) for first, (share, line) in enumerate(self.lines))
         return np.asarray(sum(images), np.float32)
 
     def check_rays(self) -> None:
@@ -175,10 +172,12 @@ class ImageCache:
     def __init__(self, cache_folder: Path, scene: Scene) -> None:
         self._shape = scene.rows, scene.columns
         self._folder = cache_folder / scene.fingerprint()
-        with suppress(OSError):  # not writable: nothing is cached
+        with suppress(OSError):  # not writable: nothing is cached; or another process deletes the old ones
             self._folder.mkdir(parents=True, exist_ok=True)
             os.utime(self._folder)  # the least recently used is deleted first
-            _keep_newest(cache_folder)
+            scenes = (path for path in cache_folder.iterdir() if len(path.name) == 64)
+            for old in sorted(scenes, key=lambda each: -each.stat().st_mtime)[_FOLDERS_KEPT:]:
+                shutil.rmtree(old, ignore_errors=True)
 
     def path(self, mask: str, state: int | str) -> Path:
         """Path of an image; `state` may be "reference"."""
@@ -206,20 +205,6 @@ class ImageCache:
         finally:
             with suppress(OSError):
                 part.unlink()  # remains after an error
-
-
-def _keep_newest(cache_folder: Path) -> None:
-    """Delete all but the most recently used scenes."""
-    folders = sorted((path for path in cache_folder.iterdir() if len(path.name) == 64), key=_age)
-    for folder in folders[_FOLDERS_KEPT:]:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _age(folder: Path) -> float:
-    try:
-        return -folder.stat().st_mtime
-    except OSError:  # another process deleted it
-        return 0.0
 
 
 def rendering_ahead(scene: Scene, mask: str, cache_folder: Path) -> BackgroundProcess:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,8 @@ from app.errors import InputError, RunError
 from app.progress import Progress, between, named
 
 if TYPE_CHECKING:
-    from app.evaluation.live_path import LiveFigures, LivePlan, MeasuredRun, Span
+    from app.acquisition.start_up import HeadlessRun
+    from app.evaluation.live_path import LiveFigures, LivePlan, Span
     from app.gui.shell.main_window import MainWindow
 
 _RATE_HZ = 70.0
@@ -78,8 +79,15 @@ def benchmark(
         folder = None if no_record else record_in or Path(gettempdir())
 
         def plan(rate_hz: float) -> LivePlan:
-            settings = (*_settings(rate_hz), *(["camera.noise_frames=2"] if rendered else []), *(setting or ()))
-            loaded = options.load(bench or DEFAULT, ["reconstruction.refine=false", *settings])
+            settings = [
+                "reconstruction.refine=false",
+                f"camera.exposure_s={1 / rate_hz:.6f}",
+                f"camera.shortest_exposure_s={1 / _FASTEST_HZ}",
+                f"camera.noise_frames={2 if rendered else 0}",
+                f"light.current_a={_LIGHT_A * rate_hz / _RATE_HZ:g}",
+                f"light.maximum_current_a={_LIGHT_A * _FASTEST_HZ / _RATE_HZ:g}",
+            ]
+            loaded = options.load(bench or DEFAULT, [*settings, *(setting or ())])
             return LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
 
         with terminal.progress_bar() as progress:
@@ -120,17 +128,6 @@ def _rate(text: str | None) -> float:
     return rate_hz
 
 
-def _settings(rate_hz: float) -> list[str]:
-    """Settings of a bench whose simulated camera has this rate, and its light as much light in each frame."""
-    current_a = _LIGHT_A * rate_hz / _RATE_HZ
-    return [
-        f"camera.exposure_s={1 / rate_hz:.6f}",
-        f"camera.shortest_exposure_s={min(1 / rate_hz, 0.0139):.6f}",
-        f"light.current_a={current_a:g}",
-        f"light.maximum_current_a={max(current_a, 1.0):g}",
-    ]
-
-
 def find_rate(plan: Callable[[float], LivePlan], progress: Progress) -> float:
     """Find the highest rate of the camera, to 5 %, at which nothing is lost and 99 % of the frames reconstructed."""
     highest_hz, lowest_hz, rate_hz = math.inf, 0.0, _RATE_HZ
@@ -153,40 +150,35 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     The light is turned off and the recording removed, also on an error or Ctrl-C.
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
+    from app.acquisition.start_up import HeadlessRun
     from app.commands.display import use_display
-    from app.evaluation.live_path import LiveFigures, MeasuredRun, recording_folder
+    from app.evaluation.live_path import LiveFigures, measure_span, recording_folder
     from app.evaluation.processor_time import total_s
 
-    is_seen = use_display()
-    middle = (plan.warm_up_s + plan.seconds) / plan.lasting_s
+    is_seen, middle = use_display(), (plan.warm_up_s + plan.seconds) / plan.lasting_s
+    spans: list[Span] = []
+
+    def noting(steps: Generator[None, None, Span]) -> Iterator[None]:
+        spans.append((yield from steps))
+
     in_window = named(between(progress, 0.0, middle), "window" if is_seen else "unseen window")
     with recording_folder(plan, in_window) as folder, OwnInstrument("benchmark") as own:
-        with_window = MeasuredRun(
-            own.connect(plan.bench),
-            in_window,
-            warm_up_s=plan.warm_up_s,
-            seconds=plan.seconds,
-            memory_s=plan.memory_s,
-            record_into=folder,
-        )
-        _run_in_window(with_window, with_panels=plan.with_panels)
-    figures = LiveFigures(
-        plan=plan, is_seen=is_seen, window=with_window.span, recording=with_window.acquisition.recording
-    )
+        run = HeadlessRun(own.connect(plan.bench), in_window)
+        steps = measure_span(run, time.perf_counter(), plan.warm_up_s, plan.seconds, folder)
+        _run_in_window(run, noting(steps), with_panels=plan.with_panels)
+    figures = LiveFigures(plan=plan, is_seen=is_seen, window=spans[0], recording=run.acquisition.recording)
     if plan.is_probe:
         return figures
-    alone = named(between(progress, middle, 1.0), "no window")
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
-        warm_up_s, seconds = plan.bare_warm_up_s, plan.without_window_s
-        without_window = MeasuredRun(acquisition, alone, warm_up_s=warm_up_s, seconds=seconds)
+        run = HeadlessRun(acquisition, named(between(progress, middle, 1.0), "no window"))
         acquisition.start()
-        without_window.send()
-        for _ in without_window.steps():
+        run.send()
+        for _ in noting(measure_span(run, time.perf_counter(), *plan.bare_s)):
             time.sleep(_POLL_S)
-    return replace(figures, bare=without_window.span, processor_s=total_s())
+    return replace(figures, bare=spans[1], processor_s=total_s())
 
 
-def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:
+def _run_in_window(run: HeadlessRun, steps: Iterator[None], *, with_panels: bool) -> None:
     from app.gui.application import run_window
     from app.gui.shell.instrument_factory import InstrumentFactory
 
@@ -196,7 +188,7 @@ def _run_in_window(run: MeasuredRun, *, with_panels: bool) -> None:
             window.docks.float_panels(panels.coefficients, panels.history, panels.histogram)
         window.open(InstrumentFactory(lambda: run.acquisition, lambda _: run.send()))
 
-    run_window(open_run, steps=lambda _: run.steps())
+    run_window(open_run, steps=lambda _: steps)
 
 
 def print_benchmark(result: dict[str, Any]) -> None:
@@ -234,10 +226,10 @@ def print_figures(figures: LiveFigures) -> None:
     terminal.print_sentence(
         "the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen"
     )
-    lines = []
-    for name, measured, limit in figures.lines():
-        colour = "[green]met[/]" if limit and limit.is_met else "[red]missed[/]"
-        lines.append([name, measured, *((limit.asked, colour) if limit else ("", ""))])
+    lines = [
+        (each.name, each.measured, each.asked, each.key and ("[green]met[/]" if each.is_met else "[red]missed[/]"))
+        for each in figures.rows()
+    ]
     notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the recording began."]
     notes += [f"Longest pause of the {pause}." for pause in span.pauses()]
     if recording is not None and recording.problem:
@@ -251,13 +243,10 @@ def _print_processor_times(span: Span) -> None:
     """Print the processor time of every process and its threads."""
     lines = []
     for process, threads in span.processor_s.items():
-        named = sorted(threads.items(), key=lambda item: (item[0] != "", -item[1]))
-        for thread, seconds in named:
-            ms = 1e3 * seconds / span.frames.acquired
-            share = f"{100 * seconds / span.seconds:.1f}"
-            if not thread:
-                lines.append((process, f"{ms:.2f}", share, f"{span.memory_mb[1].get(process, 0.0):.0f}"))
-            elif ms >= _LEAST_MS:
-                lines.append((f"  {thread}", f"{ms:.2f}", share, ""))
+        for thread, seconds in sorted(threads.items(), key=lambda item: (item[0] != "", -item[1])):
+            ms, memory = 1e3 * seconds / span.frames.acquired, f"{span.memory_mb[1].get(process, 0.0):.0f}"
+            if not thread or ms >= _LEAST_MS:
+                named = (f"  {thread}", "") if thread else (process, memory)
+                lines.append((named[0], f"{ms:.2f}", f"{100 * seconds / span.seconds:.1f}", named[1]))
     notes = [f"Of it, the simulated camera takes {1e3 * span.camera_s / span.frames.acquired:.2f} ms; a real one none."]
     terminal.print_table(None, ("processor time", "ms per frame", "% of a core", "MB"), lines, notes)

@@ -80,7 +80,6 @@ def calibrate(
         raise InputError("--average belongs to --linearity")
     from app.results.figures import lattice_figure
 
-    options.check_images(reference, dark)
     reads = (reference, dark, *options.files_of_bench(bench, loaded))
     options.check_files(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
     with terminal.progress_bar() as progress:

@@ -6,35 +6,35 @@ import math
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, astuple, dataclass, replace
-from operator import ge, le, lt
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.start_up import HeadlessRun, is_recorded
 from app.bench.config import Bench, write_bench
-from app.errors import InputError, RunError, ended_by
+from app.errors import InputError, ended_by
 from app.evaluation import processor_time
+from app.files import check_writable
 from app.measurement.measurement import FrameTotals
 from app.progress import Progress
 from app.recording.recorder import RECENT_S, RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
 from app.timing import StageTimes, TimedStage
 from reconstruction.runtime.threads import name_threads
-from reconstruction.settings import FIELD_MODES
 
 LEAST_S, MOST_S = 1.0, 3600.0
+_GIVE_UP_S = 600.0  # for rendering the bench and compiling
+_PAUSES: dict[str, TimedStage] = {"acquisition": "to_result", "recorder": "record", "window": "draw"}
 _WITHOUT_WINDOW_S = 20.0  # at most
 _MEMORY_S = 50.0  # at the end of the run, at most
-_MOST_FIELD_MODES = max(FIELD_MODES.values())
-_BLOCKS_BYTES = 4 * 4096  # overhead of a frame's folder, files and line
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
-_MARGIN = 1.1  # times the expected size of the recording
+_MARGIN = 1.25  # of a recording over its pixels, which leaves room for displacements
 _BARE_WARM_UP_S = 3.0  # at most
 _LEAST_SHARE, _LEAST_SHARE_WITH_PANELS = 0.99, 0.97  # of the frames, reconstructed
+_AT_LEAST = {"share", "redrawn_hz", "rate_ratio"}  # figures with a lower limit; the others have an upper one
+_UNITS = {"": (1, ".0f"), "%": (100, ".2f"), "ms": (1e3, ".1f"), "s": (1, ".1f"), "/s": (1, ".1f"), "MB": (1, ".0f")}
 _PROCESSOR_S, _PROCESSOR_LASTING_S = 55.0, 68.3  # asked of --live 40, and how long that runs
 
 
@@ -56,33 +56,21 @@ class LivePlan:
             raise InputError(f"--live runs the simulated camera; this bench has {self.bench.camera.driver}")
 
     @property
-    def without_window_s(self) -> float:
-        """Duration of the run without window and recording."""
-        return min(_WITHOUT_WINDOW_S, self.seconds / 3)
+    def bare_s(self) -> tuple[float, float]:
+        """Warm-up and duration of the run without window and recording."""
+        return min(_BARE_WARM_UP_S, self.warm_up_s), min(_WITHOUT_WINDOW_S, self.seconds / 3)
 
     @property
     def lasting_s(self) -> float:
         """Duration of both runs after their first wavefronts."""
-        return self.warm_up_s + self.seconds + self.bare_warm_up_s + self.without_window_s
-
-    @property
-    def bare_warm_up_s(self) -> float:
-        """Warm-up of the run without window and recording, which measures no memory."""
-        return min(_BARE_WARM_UP_S, self.warm_up_s)
-
-    @property
-    def memory_s(self) -> float:
-        """Duration at the end over which the memory must not grow."""
-        return min(_MEMORY_S, self.seconds * 5 / 6)
+        return self.warm_up_s + self.seconds + sum(self.bare_s)
 
     @property
     def recording_bytes(self) -> float:
         """Estimated maximum size of the recording."""
-        camera, sensor = self.bench.camera_model, self.bench.sensor
-        pixels = camera.rows * camera.columns * 2
-        displacements = sensor.lenslet_rows * sensor.lenslet_columns * _MOST_FIELD_MODES * 2 * 8
+        camera = self.bench.camera_model
         frames = (self.warm_up_s + self.seconds) / camera.exposure_s + _MORE_FRAMES
-        return frames * (pixels + displacements + _BLOCKS_BYTES) * _MARGIN
+        return frames * camera.rows * camera.columns * 2 * _MARGIN
 
 
 @contextmanager
@@ -103,10 +91,8 @@ def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None
             f"{where}: the recording takes up to {needed / 1e9:.1f} GB, and {free / 1e9:.1f} GB are free:"
             " name a folder on another disk with --record-in, or give --no-record"
         )
-    try:
-        folder = Path(tempfile.mkdtemp(prefix="svwfs-benchmark-", dir=where))
-    except OSError as error:
-        raise InputError(f"{where}: not writable: {error.strerror or error}") from error
+    check_writable(where)
+    folder = Path(tempfile.mkdtemp(prefix="svwfs-benchmark-", dir=where))
     try:
         yield folder / "recording"
     finally:
@@ -115,14 +101,15 @@ def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None
             shutil.rmtree(folder)
 
 
+def memory_s(seconds: float) -> float:
+    """Return the duration at the end of a span over which the memory must not grow."""
+    return min(_MEMORY_S, seconds * 5 / 6)
+
+
 def share(frames: FrameTotals) -> float:
     """Share of reconstructed frames among all frames of the camera, lost ones included."""
     taken = frames.acquired + frames.lost
     return frames.reconstructed / taken if taken else math.nan
-
-
-_GIVE_UP_S = 600.0  # for rendering the bench and compiling
-_PAUSES: dict[str, TimedStage] = {"acquisition": "to_result", "recorder": "record", "window": "draw"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,10 +120,8 @@ class Span:
     seconds: float
     frames: FrameTotals
     times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
-    memory_mb: tuple[
-        dict[str, float], dict[str, float]
-    ]  # by process, at begin and end of its last seconds; {}: unknown
-    processor_s: dict[str, dict[str, float]]  # of each thread by process; "" is all of one; empty if unknown
+    memory_mb: tuple[dict[str, float], dict[str, float]]  # by process; at begin and end of the last seconds
+    processor_s: processor_time.Times  # empty if unknown
 
     @property
     def rate_hz(self) -> float:
@@ -163,14 +148,12 @@ class Span:
     @property
     def camera_s(self) -> float:
         """Processor time of the simulated camera: detector and rendering."""
-        rendering = self.processor_s.get(processor_time.RENDERING, {})
-        detectors = (
+        return sum(
             seconds
-            for threads in self.processor_s.values()
-            for name, seconds in threads.items()
-            if name.startswith(processor_time.DETECTOR)
+            for process, threads in self.processor_s.items()
+            for thread, seconds in threads.items()
+            if thread.startswith(processor_time.DETECTOR) or (process, thread) == (processor_time.RENDERING, "")
         )
-        return rendering.get("", 0.0) + sum(detectors)
 
     def pauses(self) -> Iterator[str]:
         """Yield the longest pauses of acquisition, recorder and window with what ran meanwhile."""
@@ -185,91 +168,77 @@ class Span:
         return {**asdict(self), **rates, "share": _known(share(self.frames)), "times": timing_facts(self.times)}
 
 
-class MeasuredRun(HeadlessRun):
-    """One run of an instrument in a process of its own, which the caller closes."""
+def measure_span(
+    run: HeadlessRun, began_s: float, warm_up_s: float, seconds: float, record_into: Path | None = None
+) -> Generator[None, None, Span]:
+    """Make the steps of a run that began at a time, some times a second; return a span after the warm-up.
 
-    def __init__(
-        self,
-        acquisition: OwnConnection,
-        progress: Progress,
-        *,
-        warm_up_s: float,
-        seconds: float,
-        memory_s: float = 0.0,
-        record_into: Path | None = None,
-    ) -> None:
-        """Prepare a span of `seconds` after the warm-up; the memory is measured over its last `memory_s`."""
-        super().__init__(acquisition, progress)
-        self._record_into = record_into
-        self._warm_up_s, self._seconds, self._memory_s = warm_up_s, seconds, memory_s
-        self._span: Span | None = None
-        self._made_s = time.perf_counter()
+    `RunError` or `InputError` if a step fails.
+    """
+    acquisition = run.acquisition
+    first_s = yield from run.first_wavefront(_GIVE_UP_S)
+    acquisition.timings.forget_longest()  # of this process; those of the instrument begin with the recording
+    if record_into is not None:
+        run.send(lambda to: (to.start_recording(record_into, command="benchmark"),))
+
+    def passed() -> float:
+        return min(1.0, (time.perf_counter() - first_s) / (warm_up_s + seconds))
+
+    def wait(until_s: float, text: str) -> Iterator[None]:
+        return run.until(lambda: time.perf_counter() >= until_s, text=text, fraction=passed)
+
+    yield from wait(first_s + warm_up_s, "warming up")
+    name_threads()
+    stages = yield from run.stage_times()
+    start_s, before, taken_s = time.perf_counter(), acquisition.counts, processor_time.processor_times()
+    end_s = start_s + seconds
+    yield from wait(end_s - memory_s(seconds), "measuring")
+    memory_mb = processor_time.memory_mb()
+    yield from wait(end_s, "measuring")
+    ended_s, after = time.perf_counter(), acquisition.counts
+    times = yield from run.stage_times()
+    span = Span(
+        first_wavefront_s=first_s - began_s,
+        seconds=ended_s - start_s,
+        frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
+        times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
+        memory_mb=(memory_mb, processor_time.memory_mb()),
+        processor_s=processor_time.processor_times(taken_s),
+    )
+    if record_into is not None:
+        run.send(lambda to: (to.stop_recording(),))
+        yield from run.until(lambda: is_recorded(acquisition), text="measuring", fraction=lambda: 1.0)
+    return span
+
+
+class Figure(NamedTuple):
+    """A line of the table; with a limit, `--check` asks for it, and an unknown value misses it."""
+
+    name: str
+    value: float
+    unit: str = ""
+    key: str = ""  # in JSON, of a figure with a limit
+    limit: float = math.nan
+    detail: str = ""  # shown instead of the value
 
     @property
-    def span(self) -> Span:
-        """The measured span."""
-        if self._span is None:
-            raise RunError("the run ended before all was measured")
-        return self._span
+    def measured(self) -> str:
+        """The value in words."""
+        return self.detail or self._in_words(self.value)
 
-    def steps(self) -> Iterator[None]:
-        """Make the steps that are due, some times a second; `RunError` or `InputError` if one fails."""
-        acquisition, folder = self.acquisition, self._record_into
-        first_s = yield from self.first_wavefront(_GIVE_UP_S)
-        acquisition.timings.forget_longest()  # of this process; those of the instrument begin with the recording
-        if folder is not None:
-            self.send(lambda to: (to.start_recording(folder, command="benchmark"),))
-
-        def wait(until_s: float, text: str) -> Iterator[None]:
-            whole_s = self._warm_up_s + self._seconds
-            return self.until(
-                lambda: time.perf_counter() >= until_s,
-                text=text,
-                fraction=lambda: min(1.0, (time.perf_counter() - first_s) / whole_s),
-            )
-
-        yield from wait(first_s + self._warm_up_s, "warming up")
-        name_threads()
-        names = processor_time.processes()
-        stages = yield from self.stage_times()
-        began_s, before = time.perf_counter(), acquisition.counts
-        taken_s = processor_time.processor_times(names)
-        end_s = began_s + self._seconds
-        yield from wait(end_s - self._memory_s, "measuring")
-        memory_mb = processor_time.memory_mb(names)
-        yield from wait(end_s, "measuring")
-        ended_s, after = time.perf_counter(), acquisition.counts
-        times = yield from self.stage_times()
-        processor_s: dict[str, dict[str, float]] = {name: {} for name in names.values()}
-        for (pid, thread), seconds in processor_time.processor_times(names).items():
-            of = processor_s[names[pid]]
-            of[thread] = of.get(thread, 0.0) + max(seconds - taken_s.get((pid, thread), 0.0), 0.0)
-        self._span = Span(
-            first_wavefront_s=first_s - self._made_s,
-            seconds=ended_s - began_s,
-            frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
-            times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
-            memory_mb=(memory_mb, processor_time.memory_mb(names)),
-            processor_s=processor_s,
-        )
-        if folder is not None:
-            self.send(lambda to: (to.stop_recording(),))
-            yield from self.until(lambda: is_recorded(acquisition), text="measuring", fraction=lambda: 1.0)
-
-
-class Limit(NamedTuple):
-    """A figure and the limit that `--check` asks for; an unknown figure misses it."""
-
-    name: str  # in JSON
-    value: float
-    holds: Callable[[float, float], bool]
-    limit: float
-    asked: str  # the limit in words
+    @property
+    def asked(self) -> str:
+        """The limit in words; empty without one."""
+        return self.key and f"{'>=' if self.key in _AT_LEAST else '<='} {self._in_words(self.limit)}"
 
     @property
     def is_met(self) -> bool:
-        """True if the figure keeps the limit."""
-        return self.holds(self.value, self.limit)
+        """True if the value keeps the limit."""
+        return self.value >= self.limit if self.key in _AT_LEAST else self.value <= self.limit
+
+    def _in_words(self, value: float) -> str:
+        scale, digits = _UNITS[self.unit]
+        return f"{scale * value:{digits}} {self.unit}".rstrip()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -286,8 +255,8 @@ class LiveFigures:
     @property
     def keeps_up(self) -> bool:
         """True if 99 % of the frames were reconstructed, none lost and all recorded."""
-        frames, is_recorded = self.window.frames, not (self.recording and self.recording.problem)
-        return share(frames) >= _LEAST_SHARE and not frames.lost and is_recorded
+        frames, is_whole = self.window.frames, not (self.recording and self.recording.problem)
+        return share(frames) >= _LEAST_SHARE and not frames.lost and is_whole
 
     @property
     def rate_ratio(self) -> float:
@@ -300,64 +269,54 @@ class LiveFigures:
         begin_mb, end_mb = self.window.total_mb
         return end_mb / begin_mb - 1 if begin_mb else None
 
-    def lines(self) -> list[tuple[str, str, Limit | None]]:
-        """Return name, measured value and limit of every line of the table."""
+    def rows(self) -> list[Figure]:
+        """Return all figures."""
         window, bare, recording, growth = self.window, self.bare, self.recording, self.memory_growth
-        frames, times, first_s, ratio = window.frames, window.times, window.first_wavefront_s, self.rate_ratio
-        lines: list[tuple[str, str, Limit | None]] = []
+        frames, plan = window.frames, self.plan
 
-        def add(name: str, measured: str, *limit: Any) -> None:
-            lines.append((name, measured, Limit(*limit) if limit else None))
-
-        def add_times(name: str, stage: TimedStage, *limit: Any) -> None:
-            each = times[stage]
+        def timed(name: str, stage: TimedStage, key: str = "", limit: float = math.nan) -> Figure:
+            each = window.times[stage]
             shown = " / ".join(f"{1e3 * seconds:.1f}" for seconds in (each.p50_s, each.p99_s, each.max_s))
-            add(name, f"{shown} ms" if each.count else "none", *limit)
+            value = each.p99_s if key.endswith("p99_s") else each.max_s
+            return Figure(name, value, "ms", key, limit, f"{shown} ms" if each.count else "none")
 
-        add("frames acquired", f"{frames.acquired}")
-        least = _LEAST_SHARE_WITH_PANELS if self.plan.with_panels else _LEAST_SHARE
-        reconstructed = f"{frames.reconstructed}: {100 * share(frames):.2f} %"
-        add("reconstructed", reconstructed, "share", share(frames), ge, least, f">= {100 * least:.0f} %")
-        add("lost by the camera", f"{frames.lost}", "lost", frames.lost, le, 0, "none")
-        late_s, longest = times["to_result"].p99_s, "all < 100 ms"
-        add_times("camera to result", "to_result", "to_result_p99_s", late_s, le, 0.030, "99 % <= 30 ms")
-        add_times("camera to screen", "to_screen")
-        redrawn_hz = window.redrawn_hz
-        add("window redrawn", f"{redrawn_hz:.1f} /s", "redrawn_hz", redrawn_hz, ge, 20.0, ">= 20 /s")
-        add_times("redraw", "draw", "draw_max_s", times["draw"].max_s, lt, 0.1, longest)
+        least = _LEAST_SHARE_WITH_PANELS if plan.with_panels else _LEAST_SHARE
+        rows = [
+            Figure("frames acquired", frames.acquired),
+            Figure("reconstructed", share(frames), "%", "share", least),
+            Figure("lost by the camera", frames.lost, "", "lost", 0),
+            timed("camera to result, 99 %", "to_result", "to_result_p99_s", 0.030),
+            timed("camera to screen", "to_screen"),
+            Figure("window redrawn", window.redrawn_hz, "/s", "redrawn_hz", 20.0),
+            timed("longest redraw", "draw", "draw_max_s", 0.1),
+        ]
         if (redraw_s := window.redraw_s) is not None:
-            add("processor, each redraw", f"{1e3 * redraw_s:.1f} ms", "redraw_s", redraw_s, le, 0.012, "<= 12 ms")
+            rows.append(Figure("processor, each redraw", redraw_s, "ms", "redraw_s", 0.012))
         if recording is not None:
-            add_times("frame written to the disk", "record", "record_max_s", times["record"].max_s, lt, 0.1, longest)
-            problem, recorded = bool(recording.problem), f"{recording.frames}"
-            add("recorded, with warm-up", recorded, "recording_problems", problem, le, 0, "all frames")
-        memory = f"memory, last {self.plan.memory_s:.0f} s"
-        if growth is None:
-            add(memory, "unknown on this system")
-        else:
-            begin_mb, end_mb = window.total_mb
-            add("memory of all processes", f"{end_mb:.0f} MB", "memory_mb", end_mb, le, 1000.0, "<= 1000 MB")
-            grown = f"{begin_mb:.0f} > {end_mb:.0f} MB, {100 * growth:+.2f} %"
-            add(memory, grown, "memory_growth", growth, lt, 0.01, "< 1 %")
+            rows.append(timed("longest write to the disk", "record", "record_max_s", 0.1))
+            rows.append(Figure("recorded, with warm-up", recording.frames))
+            rows.append(Figure("recordings that ended early", bool(recording.problem), "", "recording_problems", 0))
+        if growth is not None:
+            last = f"last {memory_s(plan.seconds):.0f} s"
+            rows.append(Figure("memory of all processes", window.total_mb[1], "MB", "memory_mb", 1000.0))
+            rows.append(Figure(f"memory grown, {last}", growth, "%", "memory_growth", 0.01))
         if bare is not None:
-            add(f"rate without window, {bare.seconds:.0f} s", f"{bare.rate_hz:.2f} /s")
-            rate = f"{window.rate_hz:.2f} /s: {100 * ratio:.1f} %"
-            add("rate with it", rate, "rate_ratio", ratio, ge, 0.95, ">= 95 %")
-        add("first wavefront after", f"{first_s:.1f} s", "first_wavefront_s", first_s, le, 5.0, "<= 5 s, warm")
-        if (taken_s := self.processor_s) is not None:
-            most_s = _PROCESSOR_S * (self.plan.lasting_s / _PROCESSOR_LASTING_S)
-            add(
-                "processor, all processes", f"{taken_s:.1f} s", "processor_s", taken_s, le, most_s, f"<= {most_s:.0f} s"
-            )
-        return lines
+            rows.append(Figure(f"rate without window, {bare.seconds:.0f} s", bare.rate_hz, "/s"))
+            rows.append(Figure("rate with it", window.rate_hz, "/s"))
+            rows.append(Figure("rate with over without", self.rate_ratio, "%", "rate_ratio", 0.95))
+        rows.append(Figure("first wavefront after, warm", window.first_wavefront_s, "s", "first_wavefront_s", 5.0))
+        if self.processor_s is not None:
+            most_s = _PROCESSOR_S * plan.lasting_s / _PROCESSOR_LASTING_S
+            rows.append(Figure("processor, all processes", self.processor_s, "s", "processor_s", most_s))
+        return rows
 
-    def limits(self) -> list[Limit]:
-        """Return all figures that have a limit."""
-        return [limit for *_, limit in self.lines() if limit is not None]
+    def limits(self) -> list[Figure]:
+        """Return the figures that have a limit."""
+        return [each for each in self.rows() if each.key]
 
     def missed(self) -> list[str]:
         """Return a sentence for every figure that misses its limit."""
-        return [f"{each.name} is {each.value:.3g}, asked {each.asked}" for each in self.limits() if not each.is_met]
+        return [f"{each.key} is {each.value:.3g}, asked {each.asked}" for each in self.limits() if not each.is_met]
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON, with computer and libraries."""
@@ -369,11 +328,11 @@ class LiveFigures:
             "bench": write_bench(plan.bench),
             "window": self.window.tree(),
             "without_window": self.bare and self.bare.tree(),
-            "memory_s": plan.memory_s,
+            "memory_s": memory_s(plan.seconds),
             "processor_s": self.processor_s,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
             "limits": {
-                each.name: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
+                each.key: {"value": _known(each.value), "limit": each.limit, "is_met": each.is_met}
                 for each in self.limits()
             },
         }

@@ -6,11 +6,12 @@ import os
 import re
 import sys
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
 RENDERING, INSTRUMENT, WINDOW, DETECTOR = "simulated rendering", "instrument", "window", "detector"
+Times = dict[str, dict[str, float]]  # seconds of each thread by process; the thread "" stands for the whole process
 _PROC = Path("/proc/")
 _PROCESSES = {  # by a part of the command line
     "render_missing": RENDERING,
@@ -18,47 +19,36 @@ _PROCESSES = {  # by a part of the command line
     "watchdog": "watchdog",
     "\0serve\0": INSTRUMENT,
 }
-_PARENT, _USER, _SYSTEM = 1, 11, 12  # places in what follows the name in `stat`
+_TICKS_PER_S = 100  # of what Linux tells programs
+_USER, _SYSTEM = 11, 12  # places in what follows the name in `stat`
 
 
-def processes() -> dict[int, str]:
-    """Return the names of this process and its descendants by their ids; empty if the system does not tell them."""
-    if sys.platform != "linux":
-        return {}
-    parents = {
-        int(path.parent.name): int(found[1][_PARENT]) for path in _PROC.glob("[0-9]*/stat") if (found := _read(path))
+def processor_times(since: Times | None = None) -> Times:
+    """Return the processor time of each process and thread so far, or since an earlier answer."""
+    seconds: defaultdict[str, dict[str, float]] = defaultdict(dict)
+    for folder, process in _processes(_PROC / str(os.getpid()), WINDOW):
+        for path in (folder / "stat", *folder.glob("task/*/stat")):
+            with suppress(OSError):  # it has just ended
+                before, _, after = path.read_text(errors="replace").rpartition(")")
+                name = "main" if path.parent.name == folder.name else before.partition("(")[2]
+                thread, ticks = "" if path.parent == folder else name, after.split()
+                taken_s = (int(ticks[_USER]) + int(ticks[_SYSTEM])) / _TICKS_PER_S
+                seconds[process][thread] = seconds[process].get(thread, 0.0) + taken_s
+    earlier = since or {}
+    return {
+        process: {thread: max(end - earlier.get(process, {}).get(thread, 0.0), 0.0) for thread, end in threads.items()}
+        for process, threads in seconds.items()
     }
-    family = {os.getpid(): WINDOW}
-    while more := {pid for pid, parent in parents.items() if parent in family} - family.keys():
-        family |= {pid: _name(pid) for pid in more}
-    return family
 
 
-def processor_times(of: Iterable[int]) -> dict[tuple[int, str], float]:
-    """Return the seconds that each thread of the processes has taken so far, by process and name.
-
-    The name "" stands for the whole process, with threads that have ended.
-    """
-    seconds: defaultdict[tuple[int, str], float] = defaultdict(float)
-    ticks_per_s = os.sysconf("SC_CLK_TCK") if sys.platform == "linux" else 1
-    for pid in of:
-        for path in (_PROC / f"{pid}/stat", *_PROC.glob(f"{pid}/task/*/stat")):
-            if (found := _read(path)) is not None:
-                name, numbers = found
-                thread = "" if path.parent.parent == _PROC else "main" if path.parent.name == str(pid) else name
-                seconds[pid, thread] += (int(numbers[_USER]) + int(numbers[_SYSTEM])) / ticks_per_s
-    return seconds
-
-
-def memory_mb(of: Mapping[int, str]) -> dict[str, float]:
-    """Return the memory of processes by name, MB of 2**20 bytes, what they share in equal parts (PSS); {}: unknown."""
-    found = dict[str, float]()
-    for pid, name in of.items():
-        with suppress(OSError):  # it has just ended
-            shares = re.search(r"^Pss: +(\d+) kB", (_PROC / f"{pid}/smaps_rollup").read_text(), re.MULTILINE)
-            if shares is not None:
-                found[name] = found.get(name, 0.0) + int(shares[1]) / 1024
-    return found
+def memory_mb() -> dict[str, float]:
+    """Return the memory by process, MB of 2**20 bytes, what they share in equal parts (PSS); {}: unknown."""
+    found: defaultdict[str, float] = defaultdict(float)
+    for folder, name in _processes(_PROC / str(os.getpid()), WINDOW):
+        with suppress(OSError):
+            for kilobytes in re.findall(r"^Pss: +(\d+) kB", (folder / "smaps_rollup").read_text(), re.MULTILINE):
+                found[name] += int(kilobytes) / 1024
+    return dict(found)
 
 
 def total_s() -> float | None:
@@ -66,16 +56,12 @@ def total_s() -> float | None:
     return None if sys.platform == "win32" else sum(os.times()[:4])
 
 
-def _name(pid: int) -> str:
-    with suppress(OSError):
-        command = (_PROC / f"{pid}/cmdline").read_bytes().decode(errors="replace")
-        return next((name for part, name in _PROCESSES.items() if part in command), "other")
-    return "other"
-
-
-def _read(path: Path) -> tuple[str, list[str]] | None:
-    """Return name and what follows it of a `stat`; None if the process or thread has ended."""
-    with suppress(OSError):
-        before, _, after = path.read_text(errors="replace").rpartition(")")
-        return before.partition("(")[2], after.split()
-    return None
+def _processes(folder: Path, name: str) -> Iterator[tuple[Path, str]]:
+    """Yield a process and its descendants, with their names."""
+    yield folder, name
+    for path in folder.glob("task/*/children"):
+        with suppress(OSError):
+            for child in (_PROC / number for number in path.read_text().split()):
+                command = (child / "cmdline").read_bytes().decode(errors="replace")
+                known = (name for part, name in _PROCESSES.items() if part in command)
+                yield from _processes(child, next(known, "other"))

@@ -10,7 +10,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from contextlib import suppress
+from io import FileIO
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Self
@@ -26,7 +26,6 @@ METADATA = "zarr.json"  # in the folder of an array or group
 HINT = "svwfs recover lists the readable frames"  # of what is damaged
 _LENGTH = 1 << 20  # of an unfinished array, frames
 _FRAMES_IN_CHUNK, _CHUNK_BYTES = 16, 8 << 20  # at most; a new file takes as long as writing 1 MB
-_WRITE = os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0)
 _TYPES = ("uint16", "float32", "float64")  # of pixels and results
 _DIMENSIONS = {
     PIXELS: ("y", "x"),
@@ -67,7 +66,9 @@ class FrameArray:
         self.shape = tuple(shape)
         self._path = path
         self._last = self._separator.join("0" * len(shape))
-        self._file, self._number, self._written = -1, -1, 0  # open chunk, its number, and the bytes in it
+        self._bytes = math.prod(shape) * int(self._type.itemsize)  # of a frame
+        self._file: FileIO | None = None  # the open chunk
+        self._number = self._frames = 0  # its number, and the frames in it
 
     @classmethod
     def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
@@ -98,8 +99,6 @@ class FrameArray:
                 "storage_transformers": [],
             },
         )
-        if separator == "/":
-            (store / name / "c").mkdir()
         return cls(store / name)
 
     def write(self, index: int, values: NDArray[Any]) -> None:
@@ -107,22 +106,20 @@ class FrameArray:
         if values.shape != self.shape:
             raise RunError(f"the size has changed from {_size(self.shape)} to {_size(values.shape)}")
         number, place = divmod(index, self._in_chunk)
-        if number != self._number or self._file < 0:
+        if self._file is None or number != self._number:
             self._open(number)
-        begin = place * self._bytes
-        if begin > self._written:
-            self._append(self._missing((begin - self._written) // self._bytes))
-        elif begin < self._written:
-            self._written = os.lseek(self._file, begin, os.SEEK_SET)
+        if place > self._frames:
+            self._append(self._missing(place - self._frames))
         self._append(values)
-        if place + 1 == self._in_chunk:
+        self._frames = place + 1
+        if self._frames == self._in_chunk:
             self.close()
 
     def close(self) -> None:
         """Close the open chunk, if any."""
-        if self._file >= 0:
-            os.close(self._file)
-            self._file = -1
+        if self._file is not None:
+            self._file.close()
+            self._file = None
 
     def read(self, index: int) -> NDArray[Any] | None:
         """The values of one frame, None if they are missing; `DamagedFrame` if they are damaged."""
@@ -132,9 +129,7 @@ class FrameArray:
             size = chunk.stat().st_size
             if place and size <= begin:
                 return None
-            if (
-                not begin + self._bytes <= size <= self._in_chunk * self._bytes
-            ):  # also a pipe, which would have to be waited for
+            if not self.is_whole(index):  # also a pipe, which would have to be waited for
                 raise DamagedFrame(f"{chunk}: is damaged: {size} bytes instead of {begin + self._bytes}; {HINT}")
             values = np.fromfile(chunk, self._type, math.prod(self.shape), offset=begin)
         except FileNotFoundError:
@@ -159,18 +154,12 @@ class FrameArray:
         self.close()
         self._metadata["shape"][0] = length
         _write_metadata(self._path, self._metadata)
-        whole = self._in_chunk * self._bytes
-        chunks = self._path.glob(f"c{self._separator}*{self._separator}{self._last}") if self._in_chunk > 1 else ()
-        for chunk in chunks:
-            if (size := chunk.stat().st_size) < whole:
-                number = int(chunk.relative_to(self._path).as_posix().replace("/", ".").split(".")[1])
-                frames = size // self._bytes
-                self._open(number)
-                os.ftruncate(self._file, frames * self._bytes)
-                self._written = os.lseek(self._file, 0, os.SEEK_END)
-                self._append(self._missing(min(self._in_chunk, length - number * self._in_chunk) - frames))
-                os.ftruncate(self._file, whole)  # takes no room on a full disk
-                self.close()
+        for number in range(-(-length // self._in_chunk) if self._in_chunk > 1 else 0):
+            chunk, whole = self._chunk(number), self._in_chunk * self._bytes
+            if chunk.exists() and chunk.stat().st_size < whole:
+                with self._open(number) as file:
+                    self._append(self._missing(min(self._in_chunk, length - number * self._in_chunk) - self._frames))
+                    file.truncate(whole)  # takes no room on a full disk
 
     def remove(self, index: int) -> None:
         """Remove the values of a frame, and of later ones in its chunk."""
@@ -181,34 +170,31 @@ class FrameArray:
         elif self.is_whole(index - 1):
             os.truncate(self._chunk(number), place * self._bytes)
 
-    @property
-    def _bytes(self) -> int:
-        return math.prod(self.shape) * int(self._type.itemsize)
-
     def _missing(self, frames: int) -> NDArray[Any]:
         return np.full((max(frames, 0), *self.shape), np.nan if self._type.kind == "f" else 0, self._type)
 
-    def _open(self, number: int) -> None:
+    def _open(self, number: int) -> FileIO:
+        """Open a chunk to append to its whole frames."""
         self.close()
-        if self._separator == "/":
-            folder = f"{self._path}/c/{number}"
-            for _ in self.shape:
-                with suppress(FileExistsError):
-                    os.mkdir(folder)  # noqa: PTH102 - pathlib is slower
-                folder += "/0"
-        is_new = self._in_chunk == 1
-        self._file, self._number = os.open(self._chunk(number), _WRITE | os.O_TRUNC * is_new, 0o666), number
-        self._written = 0 if is_new else os.lseek(self._file, 0, os.SEEK_END)
+        chunk = self._chunk(number)
+        chunk.parent.mkdir(parents=True, exist_ok=True)
+        self._file, self._number = FileIO(chunk, "a"), number
+        self._frames = self._file.tell() // self._bytes
+        self._file.truncate(self._frames * self._bytes)
+        return self._file
 
     def _append(self, values: NDArray[Any]) -> None:
-        left = memoryview(np.ascontiguousarray(values, self._type).reshape(-1).data).cast("B")
-        while left:
-            count = os.write(self._file, left)
-            self._written += count
-            left = left[count:]
+        append(self._file, np.ascontiguousarray(values, self._type).reshape(-1).data)
 
     def _chunk(self, number: int) -> Path:
         return Path(f"{self._path}/c{self._separator}{number}{self._separator}{self._last}")
+
+
+def append(file: Any, data: Any) -> None:
+    """Append all bytes to an unbuffered file, which may take some at a time."""
+    left = memoryview(data).cast("B")
+    while left:
+        left = left[file.write(left) :]
 
 
 def make_group(path: Path, attributes: Mapping[str, Any] = MappingProxyType({})) -> None:

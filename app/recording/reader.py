@@ -2,11 +2,11 @@
 
 import re
 from array import array
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,8 +34,6 @@ from app.recording.frame_lines import FrameLine, checksum
 from drivers.interface import Frame
 from reconstruction.arrays import Floats
 
-T = TypeVar("T")
-
 _PIECE_BYTES = 1 << 20
 _MOST_SKIPPED = 100  # frames in a row, which a busy computer did not reconstruct
 _UNCHANGED = ("began", "began_host_s", "bench")  # keys of `run.json` that tell recordings apart
@@ -51,10 +49,10 @@ class Recording:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self.folder = Path(folder)  # changes if it is renamed
-        self.run = read_run(self.folder)  # contents of `run.json`
-        self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line
+        self._folder = Path(folder)
         self._arrays: dict[str, FrameArray | None] = {}
+        self.run = read_run(self._folder)  # contents of `run.json`
+        self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line
         self._calibrations = lru_cache(4)(lambda number: read_calibration(self.folder / CALIBRATION.format(number)))
         self._biases = lru_cache(4)(lambda number: read_array(self.folder / BIAS.format(number)))
         self.refresh()
@@ -80,6 +78,23 @@ class Recording:
         if not self.is_complete:
             self.run = read_run(self.folder)
         return len(self)
+
+    @property
+    def folder(self) -> Path:
+        """The folder; it is found again if a person has renamed it."""
+        with suppress(OSError):  # the disk is gone: what is read next tells
+            if not self._folder.exists():
+                beside = (one for one in self._folder.parent.iterdir() if (one / RUN).is_file())
+                self._folder = next(filter(self._is_in, beside), self._folder)
+                self._arrays.clear()
+        return self._folder
+
+    def _is_in(self, folder: Path) -> bool:
+        try:
+            run = read_run(folder)
+        except InputError:
+            return False
+        return all(run.get(key) == self.run.get(key) for key in _UNCHANGED)
 
     @property
     def is_complete(self) -> bool:
@@ -123,7 +138,21 @@ class Recording:
         """Times, exposure, light, calibration and outcome of a frame."""
         if not 0 <= index < len(self):
             raise InputError(f"{self.folder}: has no frame {index}; it has {len(self)}")
-        return self._followed(lambda: self._line(index))
+        path = self.folder / FRAME_LINES
+        try:
+            with path.open("rb") as file:
+                file.seek(self._ends[index])
+                text = file.read(self._ends[index + 1] - self._ends[index])
+        except OSError as error:  # for example, the disk is gone
+            raise _unreadable(path, error) from error
+        try:
+            line = FrameLine.from_json(text)
+        except ValueError as error:
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {HINT}") from error
+        if line.index != index:
+            found = f"line {index + 1} is of frame {line.index} instead of {index}"
+            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {HINT}")
+        return line
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
         """Pixels of a frame (row, column), counts, read-only; verified if its line can be read."""
@@ -174,11 +203,11 @@ class Recording:
     def calibration(self, number: int) -> Calibration:
         """Calibration by its number in the lines; cached."""
         with written_by(self.folder, version_of(self.run)):
-            return self._followed(lambda: self._calibrations(number))
+            return self._calibrations(number)
 
     def bias(self, number: int) -> Floats:
         """Bias by its number in the lines, px, (lenslet_row, lenslet_column, field_mode, xy); cached."""
-        return self._followed(lambda: self._biases(number))
+        return self._biases(number)
 
     def start(self, index: int) -> Floats | None:
         """Live displacement before a frame with the same calibration, where its registration started; None: unknown."""
@@ -191,52 +220,6 @@ class Recording:
                     return found
         return None
 
-    def _followed(self, read: Callable[[], T]) -> T:
-        """Read, and once more if nothing is there because the folder has been renamed."""
-        before = self.folder
-        try:
-            found = read()
-        except InputError:
-            if not self._is_renamed(before):
-                raise
-        else:
-            if found is not None or not self._is_renamed(before):
-                return found
-        return self._followed(read)
-
-    def _is_renamed(self, before: Path) -> bool:
-        """Find the folder if a person has named the recording meanwhile; True if it is no longer `before`."""
-        with suppress(OSError):  # the disk is gone: what is read next tells
-            if not self.folder.exists():
-                beside = (one for one in self.folder.parent.iterdir() if (one / RUN).is_file())
-                self.folder = next(filter(self._is_in, beside), self.folder)
-                self._arrays.clear()
-        return self.folder != before
-
-    def _is_in(self, folder: Path) -> bool:
-        try:
-            run = read_run(folder)
-        except InputError:
-            return False
-        return all(run.get(key) == self.run.get(key) for key in _UNCHANGED)
-
-    def _line(self, index: int) -> FrameLine:
-        path = self.folder / FRAME_LINES
-        try:
-            with path.open("rb") as file:
-                file.seek(self._ends[index])
-                text = file.read(self._ends[index + 1] - self._ends[index])
-        except OSError as error:  # for example, the disk is gone
-            raise _unreadable(path, error) from error
-        try:
-            line = FrameLine.from_json(text)
-        except ValueError as error:
-            raise DamagedFrame(f"{self.folder / FRAME_LINES}: line {index + 1} is damaged; {HINT}") from error
-        if line.index != index:
-            found = f"line {index + 1} is of frame {line.index} instead of {index}"
-            raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {HINT}")
-        return line
-
     def _result(self, name: str, index: int) -> Floats | None:
         calibration = self.line(index).calibration
         return None if calibration is None else self._found(calibration, name, index)
@@ -248,16 +231,13 @@ class Recording:
         return None
 
     def _read(self, name: str, index: int) -> NDArray[Any] | None:
-        def read() -> NDArray[Any] | None:
-            array = self._array(name)
-            return None if array is None else array.read(index)
-
-        return self._followed(read)
+        array = self._array(name)
+        return None if array is None else array.read(index)
 
     def _array(self, name: str) -> FrameArray | None:
+        path = self.folder / STORE / name
         found = self._arrays.get(name)
         if found is None:  # it may have appeared since
-            path = self.folder / STORE / name
             try:
                 is_there = is_array(path)
             except OSError as error:

@@ -10,14 +10,13 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
 from app.files import make_folder, sync
-from app.measurement.calibration import Calibration
 from app.measurement.measurement import Gap, Measurement
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
@@ -33,7 +32,7 @@ from app.recording.folder import (
     check_free,
     lock,
 )
-from app.recording.frame_array import FrameArray, make_group
+from app.recording.frame_array import FrameArray, append, make_group
 from app.recording.frame_lines import FrameLine, checksum, sample_line
 from app.run_facts import now, software_facts, write_record
 from reconstruction.arrays import Floats
@@ -139,10 +138,7 @@ class RecordingWriter:
             raise
         self._arrays: dict[str, FrameArray] = {}
         make_group(folder / STORE, _OME)
-        self._calibrations = _Numbered[Calibration](
-            lambda number, calibration: write_calibration(folder / CALIBRATION.format(number), calibration)
-        )
-        self._biases = _Numbered[Floats](lambda number, bias: write_array(folder / BIAS.format(number), bias))
+        self._newest: dict[str, tuple[Any, int]] = {}  # calibration and bias, with their numbers
         self._lines_bytes = 0
         self.gaps: list[Gap] = []
         self.frames = self.reconstructed = self.lost = 0
@@ -150,14 +146,16 @@ class RecordingWriter:
     def write(self, record: Record) -> None:
         """Write a frame, and then its line."""
         index, made = self.frames, record.made
-        calibration = self._calibrations.number_of(made.calibration)
-        bias = self._biases.number_of(made.assumed.refinement.bias)
+        calibration = self._number_of(made.calibration, CALIBRATION, write_calibration)
+        bias = self._number_of(made.assumed.refinement.bias, BIAS, write_array)
         for name, array, values in self._parts(record, calibration):
             try:
                 array.write(index, values)
             except RunError as error:
                 raise RunError(f"the recording has ended with frame {index}, {name}: {error}") from error
-        self._write_line(record.line(index, calibration=calibration, bias=bias))
+        line = record.line(index, calibration=calibration, bias=bias).to_json().encode() + b"\n"
+        append(self._lines, line)
+        self._lines_bytes += len(line)
         self.frames += 1
         self.reconstructed += not made.problem
         self.lost += made.lost
@@ -166,7 +164,7 @@ class RecordingWriter:
 
     def prepare(self, record: Record) -> None:
         """Make what frames like this one need; without frames, `finish` removes it."""
-        for _ in self._parts(record, self._calibrations.number_of(record.made.calibration)):
+        for _ in self._parts(record, self._number_of(record.made.calibration, CALIBRATION, write_calibration)):
             pass
 
     def sync(self) -> None:
@@ -201,12 +199,16 @@ class RecordingWriter:
             array.close()
         self._lines.close()
 
-    def _write_line(self, line: FrameLine) -> None:
-        left = memoryview((line.to_json() + "\n").encode())
-        length = len(left)
-        while left:
-            left = left[self._lines.write(left) :]
-        self._lines_bytes += length
+    def _number_of(self, item: T | None, name: str, write: Callable[[Path, T], None]) -> int | None:
+        """Number an object that many frames share; a new one is written."""
+        if item is None:
+            return None
+        newest, number = self._newest.get(name, (None, -1))
+        if item is not newest:
+            number += 1
+            write(self._folder / name.format(number), item)
+            self._newest[name] = item, number
+        return number
 
     def _parts(self, record: Record, calibration: int | None) -> Iterator[tuple[str, FrameArray, NDArray[Any]]]:
         """Yield the names, arrays and values of a record; new arrays are made."""
@@ -219,23 +221,6 @@ class RecordingWriter:
                 if (array := self._arrays.get(name)) is None:
                     array = self._arrays[name] = FrameArray.create(self._folder / STORE, name, values)
                 yield name, array, values
-
-
-class _Numbered(Generic[T]):
-    """Numbers objects that many frames share, and writes each once."""
-
-    def __init__(self, write: Callable[[int, T], None]) -> None:
-        self._write = write
-        self._newest: T | None = None
-        self._count = 0
-
-    def number_of(self, item: T | None) -> int | None:
-        if item is None:
-            return None
-        if item is not self._newest:
-            self._write(self._count, item)
-            self._newest, self._count = item, self._count + 1
-        return self._count - 1
 
 
 def _create_lines(folder: Path) -> IO[bytes]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 import math
-import sys
 import time
 from collections import deque
 from pathlib import Path
@@ -72,18 +71,14 @@ def test_longest_time_can_be_forgotten() -> None:
     assert (summary.count, summary.max_s) == (2, 0.1)
 
 
-def test_garbage_collection_and_import_are_causes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_garbage_collection_is_a_cause() -> None:
     timings = Timings()
-    timings.note("register", 0.0)
     note = next(each for each in gc.callbacks if each.__module__ == "app.timing")
     note("start", {})
     time.sleep(0.02)
     note("stop", {})
-    monkeypatch.setitem(sys.modules, "made_up.module", sys)
     timings.note("record", 0.02)
-    cause = timings.summary()["record"].cause
-    assert "garbage collection" in cause
-    assert "import of made_up (1 modules)" in cause
+    assert "garbage collection" in timings.summary()["record"].cause
 
 
 def test_every_stage_of_the_worker_is_timed(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:

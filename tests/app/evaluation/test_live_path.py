@@ -18,11 +18,12 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from app.acquisition.address import Address
 from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.remote.own_instrument import OwnInstrument
+from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.commands.benchmark import benchmark_acquisition, print_figures
 from app.errors import InputError, Interrupted, RunError
-from app.evaluation.live_path import LivePlan, MeasuredRun
+from app.evaluation.live_path import LivePlan, measure_span
 from app.evaluation.processor_time import memory_mb
 from drivers.interface import Disconnected
 
@@ -49,9 +50,11 @@ class InThisProcess:
         return made
 
 
-def course_of(bench: Bench, warm_up_s: float, record_into: Path | None = None) -> MeasuredRun:
-    own = InThisProcess("test").connect(bench)
-    return MeasuredRun(own, no_report, warm_up_s=warm_up_s, seconds=60, record_into=record_into)  # type: ignore[arg-type] # as above
+def started(bench: Bench) -> HeadlessRun:
+    run = HeadlessRun(InThisProcess("test").connect(bench), no_report)
+    run.acquisition.start()
+    run.send()
+    return run
 
 
 @pytest.mark.slow
@@ -103,7 +106,7 @@ def test_run_measures_an_instrument_in_a_process_of_its_own(
     assert window.times["to_screen"].p50_s > window.times["draw"].p50_s
     assert (bare.times["draw"].count, bare.times["record"].count) == (0, 0)
     assert bare.times["to_result"].count > 0
-    if memory_mb({os.getpid(): "window"}):
+    if memory_mb():
         assert window.memory_mb[1].keys() >= {"window", "instrument"}
         assert window.total_mb[1] > max(window.memory_mb[1].values()) + 50
         instrument = window.processor_s["instrument"]
@@ -160,13 +163,9 @@ def test_camera_failure_ends_the_run_with_its_message(camera: FakeCamera, tmp_pa
 
 
 def test_camera_failure_ends_the_bare_run(camera: FakeCamera) -> None:
-    watched = course_of(BENCH, warm_up_s=0.1)
-    with pytest.raises(RunError, match="before all was measured"):
-        _ = watched.span
-    watched.acquisition.start()
-    watched.send()
+    watched = started(BENCH)
     with pytest.raises(RunError, match="the camera is gone"):  # noqa: PT012 - it goes on until then
-        for _ in watched.steps():
+        for _ in measure_span(watched, 0.0, 0.1, 60.0):
             if watched.acquisition.counts.reconstructed:
                 camera.fault = Disconnected("the camera is gone")
             time.sleep(0.02)
@@ -186,11 +185,9 @@ def test_saturated_frames_end_the_run_soon(
 
 def test_folder_with_a_recording_is_rejected(camera: FakeCamera, tmp_path: Path) -> None:
     (tmp_path / "run.json").write_text("{}")
-    watched = course_of(BENCH, warm_up_s=60, record_into=tmp_path)
-    watched.acquisition.start()
-    watched.send()
+    watched = started(BENCH)
     with pytest.raises(InputError, match="holds a recording already"):  # noqa: PT012 - it goes on until then
-        for _ in watched.steps():
+        for _ in measure_span(watched, 0.0, 60.0, 60.0, tmp_path):
             time.sleep(0.02)
     watched.acquisition.close()
     assert camera.is_closed
