@@ -183,7 +183,12 @@ class SimulatedCamera(Camera):
                 return self._frame(index)
             if now_s >= deadline_s:
                 raise DeviceTimeout(NO_FRAME)
-            clock.sleep(max(1e-5, min(self._end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S)))
+            clock.sleep(
+                max(
+                    1e-5,
+                    min(self._run_of(self._next_index).end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S),
+                )
+            )
 
     def _close(self) -> None:
         self._runs = []
@@ -202,9 +207,6 @@ class SimulatedCamera(Camera):
 
     def _run_of(self, index: int) -> _Run:
         return next(run for run in reversed(self._runs) if run.first_index <= index)
-
-    def _end_s(self, index: int) -> float:
-        return self._run_of(index).end_s(index)
 
     def _shot(self, run: _Run, index: int, light: Callable[[float, float], ReceivedLight]) -> _Shot:
         """What the present settings and the light during its exposure give frame number `index`."""
@@ -240,24 +242,21 @@ class SimulatedCamera(Camera):
         """Counts of a frame, and begin to compute the next one's."""
         if noises := self._settings.noise_frames:
             return self._repeated(shot._replace(exposure=replace(shot.exposure, index=index % noises)))
-        expected = self._expected.result() if self._expected else None
-        pixels = expected[1] if expected and expected[0].key() == shot.key() else self._computed(shot)
+        found = self._expected.result() if self._expected else None
+        if found is None or found[0].key() != shot.key():
+            found = self._computed(shot)
         run = self._run_of(index + 1)
-        self._expected = self._ahead.submit(self._computed_ahead, run, index + 1)
-        return pixels
+        self._expected = self._ahead.submit(lambda: self._computed(self._shot(run, index + 1, self._bench.expected)))
+        return found[1]
 
-    def _computed(self, shot: _Shot) -> NDArray[np.uint16]:
+    def _computed(self, shot: _Shot) -> tuple[_Shot, NDArray[np.uint16]]:
         image, dose = shot.light()
-        return self._detector.counts(image, shot.exposure, dose=dose)
-
-    def _computed_ahead(self, run: _Run, index: int) -> tuple[_Shot, NDArray[np.uint16]]:
-        shot = self._shot(run, index, self._bench.expected)
-        return shot, self._computed(shot)
+        return shot, self._detector.counts(image, shot.exposure, dose=dose)
 
     def _repeated(self, shot: _Shot) -> NDArray[np.uint16]:
         """Copy of the frame that is the same, which is computed the first time."""
         if (found := self._noisy.get(shot.key())) is None:
-            found = self._noisy[shot.key()] = shot, self._computed(shot)
+            found = self._noisy[shot.key()] = self._computed(shot)
             while len(self._noisy) * found[1].nbytes > _NOISY_BYTES:
                 self._noisy.popitem(last=False)
         return found[1].copy()

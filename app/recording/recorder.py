@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -154,11 +155,8 @@ class BackgroundRecording:
     def _work(self) -> None:
         name_threads()
         try:
-            writer = RecordingWriter(self._folder, self._facts)
-            try:
+            with closing(RecordingWriter(self._folder, self._facts)) as writer:
                 self._write(writer)
-            finally:
-                writer.close()
         except (OSError, InputError, RunError) as error:
             self._fail(self._in_words(error))
         except Exception as error:

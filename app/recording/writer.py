@@ -40,20 +40,9 @@ from reconstruction.wavefront import mean_rms
 
 T = TypeVar("T")
 
-_OME = {  # an OME-NGFF 0.5 image with one scale
-    "ome": {
-        "version": "0.5",
-        "multiscales": [
-            {
-                "name": "frames",
-                "axes": [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}],
-                "datasets": [
-                    {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}
-                ],
-            }
-        ],
-    }
-}
+_AXES = [{"name": "t", "type": "time"}, {"name": "y", "type": "space"}, {"name": "x", "type": "space"}]
+_SCALE = {"path": PIXELS, "coordinateTransformations": [{"type": "scale", "scale": [1.0, 1.0, 1.0]}]}
+_IMAGE = {"name": "frames", "axes": _AXES, "datasets": [_SCALE]}  # of OME-NGFF, with one scale
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +126,7 @@ class RecordingWriter:
             (folder / FRAME_LINES).unlink()
             raise
         self._arrays: dict[str, FrameArray] = {}
-        make_group(folder / STORE, _OME)
+        make_group(folder / STORE, {"ome": {"version": "0.5", "multiscales": [_IMAGE]}})
         self._newest: dict[str, tuple[Any, int]] = {}  # calibration and bias, with their numbers
         self._lines_bytes = 0
         self.gaps: list[Gap] = []
