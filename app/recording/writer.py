@@ -52,7 +52,7 @@ class Record:
     made: Measurement  # without wavefront and displacements
     displacement: Floats | None = None  # px, (lenslet_row, lenslet_column, field_mode, xy)
     coefficients: Floats | None = None  # rad, (pupil_mode, field_mode)
-    views: Floats | None = None  # rad, (view_row, view_column, lenslet_row, lenslet_column)
+    rms_rad: float = math.nan  # of the wavefront, mean over the views, which themselves are not recorded
     valid: int | None = None
 
     @classmethod
@@ -63,14 +63,14 @@ class Record:
             replace(measurement, wavefront=None, registered=None),
             displacement=None if registered is None else registered.coefficients,
             coefficients=None if wavefront is None else wavefront.coefficients,
-            views=None if wavefront is None else wavefront.views,
+            rms_rad=math.nan if wavefront is None else mean_rms(wavefront.views),
             valid=None if registered is None else int(np.count_nonzero(registered.valid)),
         )
 
     @property
     def nbytes(self) -> int:
         """Memory of the arrays that belong to this record alone."""
-        arrays = (self.made.frame.pixels, self.displacement, self.coefficients, self.views)
+        arrays = (self.made.frame.pixels, self.displacement, self.coefficients)
         return sum(array.nbytes for array in arrays if array is not None)
 
     def line(self, index: int, *, calibration: int | None, bias: int | None) -> FrameLine:
@@ -78,7 +78,6 @@ class Record:
         made, frame, light = self.made, self.made.frame, self.made.light
         sample, refinement = made.assumed
         gap = made.gap if index else None  # one before the first frame is none of this recording
-        rms_rad = math.nan if self.views is None else mean_rms(self.views)
         return FrameLine(
             index=index,
             camera_index=frame.index,
@@ -93,7 +92,7 @@ class Record:
             bias=bias,
             bias_age_s=None if refinement.bias is None else refinement.age_s,
             problem=made.problem,
-            rms_rad=None if math.isnan(rms_rad) else rms_rad,  # JSON has no NaN
+            rms_rad=None if math.isnan(self.rms_rad) else self.rms_rad,  # JSON has no NaN
             valid=self.valid,
             sample=None if sample is None else sample_line(sample),
             crc32=checksum(frame.pixels),

@@ -56,7 +56,7 @@ def make_record(index: int, calibration: Calibration | None = None, **changes: A
         replace(measurement, **{name: value for name, value in changes.items() if name not in of_arrays}),
         displacement=RANDOM.normal(size=(7, 9, 3, 2)) if has else None,
         coefficients=RANDOM.normal(size=(15, 3)) if has else None,
-        views=RANDOM.normal(size=(3, 3, 7, 9)) if has else None,
+        rms_rad=0.5 if has else math.nan,
         valid=63 if has else None,
     )
     return replace(record, **{name: value for name, value in changes.items() if name in of_arrays})

@@ -56,6 +56,11 @@ def changing(recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
     return Recording(folder)
 
 
+def test_lines_have_the_rms_of_the_wavefronts(changing: Recording) -> None:
+    wavefront = changing.calibration(0).reconstructor()(changing.pixels(0))
+    assert changing.line(0).rms_rad == pytest.approx(rms(wavefront.views).mean(), rel=1e-3)
+
+
 @pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.parametrize("behind_s", [0.0, 0.5])
