@@ -135,7 +135,7 @@ class LayerModes:
 _MORE_THAN_LENSLETS, _HIGHEST_DEGREE = 3, 18
 SKETCH_DEGREE = 9  # enough to tell distances apart on a coarse grid
 _LEAST_LENSLETS = 9
-_REMEMBERED_BYTES = 1e8  # of design matrices
+_REMEMBERED_BYTES = 7e7  # of design matrices: a coarse grid for 15 x 15 lenslets, and more
 # Systematic error: share of the displacement in one parameter of the warp that appears in another one, or is missing in
 # itself, alike for all lenslets of a frame. What the mask hides of a displacement shows in the others to second order.
 # Fitted to the distances in frames without and with noise (docs/layers.md).

@@ -82,7 +82,6 @@ class _Design(NamedTuple):
 class _Equations(NamedTuple):
     """The same for lenslets with some shares, in independent components: data = singular x + noise."""
 
-    design: _Design
     singular: Floats  # (n,); 0 where the displacements show nothing
     vectors: Floats  # of the components, (n, n)
     known: KnownModes
@@ -92,6 +91,7 @@ class _Equations(NamedTuple):
 class _Fit(NamedTuple):
     """Layers fitted to one frame."""
 
+    design: _Design
     equations: _Equations
     estimate: Estimate
     polynomials: Image  # in units of the prior, (n,)
@@ -108,8 +108,8 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = Remembered(self._prepared, 6)  # two layers need five for their error bars
-        self._equations = Remembered(self._down_dated, 20)
+        self._design = Remembered(self._prepared, 6)  # of 10 MB; two layers need five for their error bars
+        self._equations = Remembered(self._down_dated, 12)
         self._known = Remembered(self._known_at, 4)
         self._kept: KeptSquares = []
 
@@ -125,7 +125,7 @@ class LayeredWavefronts:
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
         coefficients[1:][columns] = fit.wavefront
-        (design, singular, _, known, spread), estimate = fit.equations, fit.estimate
+        design, (singular, _, known, spread), estimate, *_ = fit
 
         def deviations() -> Deviations:
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
@@ -158,11 +158,11 @@ class LayeredWavefronts:
 
     def _fit(self, ratios: tuple[float, ...], frame: Whitened) -> _Fit:
         """Fit layers to the displacements of a frame."""
-        equations = self._equations(ratios, frame.share.tobytes())
-        design, singular, vectors, *_ = equations
+        design, equations = self._design(ratios), self._equations(ratios, frame.share.tobytes())
+        singular, vectors, *_ = equations
         estimate = along_principal(frame, frame.weighted.ravel() @ design.rows, singular, vectors).estimate()
         polynomials = (vectors @ estimate.values).astype(np.float32)
-        return _Fit(equations, estimate, polynomials, design.wavefronts @ polynomials)
+        return _Fit(design, equations, estimate, polynomials, design.wavefronts @ polynomials)
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
         """Design of layers at some ratios, for all lenslets."""
@@ -187,7 +187,7 @@ class LayeredWavefronts:
         singular, vectors = principal(gram)
         components = np.zeros((*self._modes.columns.shape, len(singular)), np.float32)
         components[self._modes.columns] = design.wavefronts @ vectors.astype(np.float32)
-        return _Equations(design, singular, vectors, known, Spread(components, known, self._kept))
+        return _Equations(singular, vectors, known, Spread(components, known, self._kept))
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""

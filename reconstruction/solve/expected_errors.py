@@ -56,17 +56,24 @@ class Response:
 
     def __init__(self, sensor: Sensor, response: Floats) -> None:
         """`response` is (lenslet, n, m, field_mode, K), px per rad."""
-        self._sensor, self.response = sensor, response
+        self._sensor, self._shape = sensor, response.shape
         self._n, self._m = np.nonzero(np.any(response, axis=(0, 3, 4)))
+        self._shown = response[:, self._n, self._m]  # a quarter of all: the others are 0
+
+    @property
+    def response(self) -> Floats:
+        """As given."""
+        response = np.zeros(self._shape)
+        response[:, self._n, self._m] = self._shown
+        return response
 
     def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
         """Parameters per rad of each mode; see `MeanGradients`."""
-        row, column = np.divmod(np.arange(len(self.response))[lenslets], self._sensor.lenslet_columns)
+        row, column = np.divmod(np.arange(len(self._shown))[lenslets], self._sensor.lenslet_columns)
         rows, place = np.unique(row, return_inverse=True)  # only these: preparing asks for few lenslets at a time
-        local = local_wavefronts(modes.products[1:], self._sensor, self.response.shape[1] - 1, rows)
+        local = local_wavefronts(modes.products[1:], self._sensor, self._shape[1] - 1, rows)
         local = local[place[:, None], column[:, None], self._n, self._m]  # (lenslet, j, pupil_mode - 1)
-        of_local = self.response[lenslets][:, self._n, self._m]
-        return np.asarray(np.einsum("ljp,ljqk->lkpq", local, of_local, optimize=True))
+        return np.asarray(np.einsum("ljp,ljqk->lkpq", local, self._shown[lenslets], optimize=True))
 
 
 Sensitivity: TypeAlias = MeanGradients | Response

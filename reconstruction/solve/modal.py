@@ -294,7 +294,6 @@ class ModalSolver:
         rows = in_threads(in_basis, chunks)
         self._singular, vectors = self._seen(*np.linalg.eigh(sum(in_threads(lambda some: some.T @ some, rows))))
         self._scaled = basis @ vectors
-        self._left_singular = self._scaled / self._singular  # to left singular vectors, see `ExpectedErrors.rows`
         to_left = vectors / self._singular
         across = np.concatenate(in_threads(lambda some: (some @ to_left).astype(np.float32), rows))
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
@@ -362,7 +361,7 @@ class ModalSolver:
         singular, vectors, scaled = self._singular, None, self._scaled
         if lost.size:
             # In double precision: what only these lenslets show must vanish.
-            missing = self.errors.rows(self._modes, lost) @ self._left_singular
+            missing = self.errors.rows(self._modes, lost) @ self._scaled / self._singular  # left singular vectors
             missing = missing.reshape(lost.size, -1, len(singular))
             weighted = (1 - share[lost, None, None]) * missing
             left = np.eye(len(singular)) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
