@@ -284,10 +284,8 @@ class Instrument:
 
     def survey_lattice(self) -> Survey:
         """Find the lenslets in the reference without changing anything."""
-        reference = self.references.average
+        reference = self.references.fitting(self._now())
         if reference is None:
-            raise WrongState("the lattice is found in the reference: take one first")
-        if self.references.fitting(self._now()) is None:
             raise WrongState(self.references.doubt(self._now()))
         return self._survey(reference)
 

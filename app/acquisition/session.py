@@ -13,8 +13,7 @@ from typing import Self, TypeVar
 
 from app.acquisition.address import NAME
 from app.acquisition.instrument import Status
-from app.acquisition.remote.connection import reach
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument, reach
 from app.acquisition.start_up import DARK, EXPOSURE, REFERENCE, is_recorded, knows_sample, start_up, without_sample
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, as_bench
@@ -52,8 +51,7 @@ def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
     -------
     LiveBench
         Iterating yields the newest `Measurement`: `.wavefront`, or None with the reason in `.problem`; `.frame`;
-        `.counts` of all frames. Methods: `take_dark`, `take_reference`, `auto_expose`, `set_exposure`, `set_em_gain`,
-        `set_light`, `set_light_current`, `record(folder, frames)`.
+        `.counts` of all frames. Its methods set the devices, calibrate and record.
 
     Raises
     ------
@@ -89,8 +87,7 @@ def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
     Returns
     -------
     ConnectedBench
-        Works as what `svwfs.live` returns, with `take_control`, `shut_down`, `controller` and `clients`; `every()`
-        iterates over every measurement, and `overtaken` counts those that this program was too slow for.
+        A `LiveBench` with `take_control`, `shut_down`, and `every()`, which iterates over every measurement.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from app.acquisition.instrument import Status
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.bench.config import Bench
 from app.errors import InputError, RunError
 from app.measurement.auto_exposure import FILL

@@ -23,9 +23,9 @@ from app.files import make_folder
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from app.acquisition.remote.connection import RunningInstrument
     from app.acquisition.remote.own_connection import OwnConnection
     from app.acquisition.remote.own_instrument import OwnInstrument
-    from app.acquisition.running_instrument import RunningInstrument
     from app.bench.config import Bench
     from app.gui.shell.instrument_factory import InstrumentFactory
     from app.gui.shell.main_window import MainWindow

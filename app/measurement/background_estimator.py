@@ -140,7 +140,6 @@ class BackgroundEstimatorProcess:
         self._estimator: Pickled | None = pickled(estimator)
         self._process = BackgroundProcess(_work)
         self.process = self._process.process
-        self._sample: AssumedSample | None = FREE
 
     def prepare(self) -> None:
         """See `BackgroundEstimator.prepare`; `EOFError` or `OSError` if the process has ended."""
@@ -154,9 +153,7 @@ class BackgroundEstimatorProcess:
         measured = replace(newest.measured, transmission_source=None)  # costly, not used
         self._process.send(newest._replace(measured=measured))
         found: Found = self._process.receive()
-        if found.sample is None or self._sample is None or not _are_the_same(found.sample, self._sample):
-            self._sample = found.sample
-        return found._replace(sample=self._sample)  # a copy would count as another sample
+        return found
 
     def stop(self) -> None:
         """Kill the process; a thread that waits for it gets an error."""
@@ -179,10 +176,6 @@ def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
         answer("")
         for newest in messages:
             answer(background_estimator.find(newest))
-
-
-def _are_the_same(one: AssumedSample, other: AssumedSample) -> bool:
-    return one.ratios == other.ratios and np.array_equal(one.sigma, other.sigma)
 
 
 def _are_alike(found: AssumedSample, before: AssumedSample, sigmas: float) -> bool:
@@ -307,9 +300,12 @@ class LiveEstimator:
 
     def _use(self, found: Found, newest: Solved) -> None:
         """Use what was found for the frames that follow, after what depends on the layers is prepared."""
-        if found.sample is not None and found.sample is not self._found.sample:
+        sample, before = found.sample, self._found.sample
+        if sample is not None and before is not None and _are_alike(sample, before, 0.0):
+            found = found._replace(sample=before)  # a copy would count as another sample
+        elif sample is not None:
             with suppress(ReconstructionError):  # of this frame
-                self._reconstructor.solve(newest.measured, sample=found.sample).sigma()
+                self._reconstructor.solve(newest.measured, sample=sample).sigma()
         self._found = found
 
     def _rest(self, at_least_s: float, at_most_s: float) -> None:

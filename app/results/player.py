@@ -5,7 +5,7 @@ from concurrent.futures import Future
 from pathlib import Path
 
 from app.acquisition.instrument import Instrument
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import suppress
 from functools import partial
-from typing import Any, Concatenate, ParamSpec, TypeVar
+from typing import Any, Concatenate, ParamSpec, TypeAlias, TypeVar
 
 import zmq
 from zmq.utils.monitor import recv_monitor_message
@@ -293,3 +293,6 @@ class Connection(Commands):
         if self._is_gone and self._ended is None:
             self._ended = state.ended_by or RunError("the instrument was shut down")
         self._has_state.set()
+
+
+RunningInstrument: TypeAlias = Acquisition | Connection  # as window, commands and scripts see it

@@ -12,10 +12,9 @@ from PyQt6.QtWidgets import QMessageBox, QWidget
 from app.acquisition.address import CLOSING_S
 from app.acquisition.commands import Commands
 from app.acquisition.instrument import ProcessState, Status
-from app.acquisition.remote.connection import Connection
+from app.acquisition.remote.connection import Connection, RunningInstrument
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_connection import OwnConnection
-from app.acquisition.running_instrument import RunningInstrument
 from app.acquisition.start_up import start_up
 from app.cache import release_memory
 from app.errors import InputError, RunError

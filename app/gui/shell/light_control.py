@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
 from app.acquisition.address import CLOSING_S
 from app.acquisition.instrument import Activity, Status
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench

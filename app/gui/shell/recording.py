@@ -13,7 +13,7 @@ from PyQt6.QtCore import QProcess, QProcessEnvironment, QSettings, QStandardPath
 from PyQt6.QtGui import QDesktopServices
 from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.gui.panels.panel import Entries
 from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles

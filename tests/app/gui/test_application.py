@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
 
-from app.acquisition.running_instrument import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
