@@ -83,8 +83,8 @@ def run_window(
     for sentence in window.unsaved:
         sys.stderr.write(f"svwfs: {sentence}\n")
     _raise_failure(window, is_interrupted=bool(signals))
-    if timer is not None:
-        timer.check()
+    if timer is not None and timer.error is not None:
+        raise timer.error
     return 1 if window.unsaved else status
 
 
@@ -119,24 +119,21 @@ class _StepTimer:
     def __init__(self, window: MainWindow, steps: Iterator[object]) -> None:
         self._window, self._steps = window, steps
         next(steps)
-        self._error: Exception | None = RunError("the window was closed before the run had finished")
+        self.error: Exception | None = RunError("the window was closed before the run had finished")  # None: finished
         self._timer = timer(window, 100, self._poll)
         self._timer.start()
 
-    def check(self) -> None:
-        """Raise the reason if the run did not finish."""
-        if self._error is not None:
-            raise self._error
-
     def _poll(self) -> None:
+        if self._window.is_closing:  # which ends commands that wait
+            return
         try:
             if self._window.controller.failure:
                 raise self._window.controller.error  # noqa: TRY301 - one way out
             next(self._steps)
         except StopIteration:
-            self._error = None
+            self.error = None
         except Exception as error:  # noqa: BLE001 - an error in a Qt slot would abort the program
-            self._error = error
+            self.error = error
         else:
             return
         self._timer.stop()

@@ -104,11 +104,6 @@ class WavefrontPanel(Panel):
     def quantity(self) -> Quantity:
         return Quantity(self.choice.currentText())
 
-    @property
-    def reach_rad(self) -> float | None:
-        """Half width of PSF maps; None until the extent of the light is known."""
-        return self._reach_mrad.value * 1e-3 if self._reach_mrad.is_set else None
-
     def show_measurement(self, measurement: Measurement) -> None:
         self.show_wavefront(measurement.wavefront)
 
@@ -151,7 +146,8 @@ class WavefrontPanel(Panel):
             return Request(wavefront, (quantity, options), lambda _: view_numbers(quantity, wavefront.views, single))
         if wavefront is None or settings is None:
             return None
-        reach_rad = self.reach_rad if quantity is Quantity.PSF else None
+        has_reach = quantity is Quantity.PSF and self._reach_mrad.is_set
+        reach_rad = self._reach_mrad.value * 1e-3 if has_reach else None
         choice = (quantity, settings, reach_rad, wavefront.field)
         return Request(wavefront, choice, lambda _: quantity_maps(wavefront, quantity, settings, reach_rad), SLOWER_S)
 

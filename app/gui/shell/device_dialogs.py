@@ -157,8 +157,13 @@ class DevicePresets(QDialog):
             found = json.loads(str(self._saved.value(_PRESETS_KEY, "{}")))
         except ValueError:
             return {}
-        presets = found.items() if isinstance(found, dict) else ()
-        return {name: values for name, values in presets if isinstance(values, dict) and _can_be_set(values)}
+        presets = found if isinstance(found, dict) else {}
+        kinds = {key: kind | None for key, (_, kind) in _PRESET_SETTINGS.items()}  # None: a device does not have it
+        return {
+            name: values
+            for name, values in presets.items()
+            if isinstance(values, dict) and all(isinstance(values.get(key), kind) for key, kind in kinds.items())
+        }
 
     def _keep(self, presets: dict[str, dict[str, object]]) -> None:
         self._saved.setValue(_PRESETS_KEY, json.dumps(presets))
@@ -200,8 +205,3 @@ class DevicePresets(QDialog):
         for name, (setting, _) in _PRESET_SETTINGS.items():
             if values.get(name) not in {None, getattr(status, name)}:  # a manual light takes no current
                 self._controls.wanted.emit(setting, values[name])
-
-
-def _can_be_set(values: dict[str, object]) -> bool:
-    """Return True if the values are of the right kinds; None stands for what a device does not have."""
-    return all(isinstance(values.get(name), kind | None) for name, (_, kind) in _PRESET_SETTINGS.items())

@@ -72,7 +72,7 @@ class MainWindow(QMainWindow):
         `saved` state, and saves how it looks when it closes.
         """
         super().__init__()
-        self._saved, self._is_closing, self._refreshes = saved, False, 0
+        self._saved, self.is_closing, self._refreshes = saved, False, 0
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
@@ -299,7 +299,6 @@ class MainWindow(QMainWindow):
 
     def show_status(self, status: Status) -> None:
         self._status = status
-        self._alarm_tracker.follow(status)
         attached = ", attached" * self.controller.is_attached
         self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
         self.shown.reconstruction = status.bench.reconstruction
@@ -349,12 +348,12 @@ class MainWindow(QMainWindow):
 
     def closeEvent(self, event: QCloseEvent | None) -> None:  # noqa: N802 - Qt's name
         """Turn the light off at once; the window shows that it waits until the devices are closed."""
-        if event is not None and (self._is_closing or event.spontaneous()):
+        if event is not None and (self.is_closing or event.spontaneous()):
             event.ignore()
-            if not self._is_closing:
+            if not self.is_closing:
                 self.quit()  # by the user
             return
-        self._is_closing = True
+        self.is_closing = True
         if self._saved is not None:
             save_state(self._saved, self)
         self._timer.stop()
@@ -364,7 +363,7 @@ class MainWindow(QMainWindow):
         self.controller.close(self._show_closing)
         self.recording_bar.refresh()  # end, name and note of a recording that was under way
         self.unsaved += [sentence for work in self.findChildren(FileWork) for sentence in work.close()]
-        self._is_closing = False
+        self.is_closing = False
         super().closeEvent(event)
 
     def _show_closing(self) -> None:

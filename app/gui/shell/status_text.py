@@ -30,16 +30,15 @@ class AlarmTracker:
         self._conditions: tuple[object, ...] = ()  # of the frames
         self._changed_s = -math.inf  # time of their last change
 
-    def follow(self, status: Status) -> None:
-        """Note when the conditions of the frames change: earlier problems are over then."""
-        averages = (status.dark, status.reference)
-        conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *averages)
-        if conditions != self._conditions:
-            self._conditions, self._changed_s = conditions, time.perf_counter()
-
     def alarm(self, status: Status | None, activity: Activity, measurement: Measurement | None) -> str:
         """Return why wavefronts are missing or doubtful; empty during an activity, and if all is well."""
-        if status is None or activity.text:
+        if status is None:
+            return ""
+        averages = (status.dark, status.reference)
+        conditions = (status.bench, status.mask, status.is_sample_in, status.is_light_on, status.exposure_s, *averages)
+        if conditions != self._conditions:  # earlier problems are over
+            self._conditions, self._changed_s = conditions, time.perf_counter()
+        if activity.text:
             return ""
         is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
         if measurement is None or not status.is_running or not is_present:

@@ -226,14 +226,14 @@ def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: Qt
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
     panel.freeze_scale.setChecked(True)
     assert panel.grid.maps is not None
-    scale, reach_rad = panel.grid.maps.scale, panel.reach_rad
+    scale, reach_mrad = panel.grid.maps.scale, panel._reach_mrad.value
     show(window, bowl(tilt_rad_per_m=8000.0))
     qtbot.wait(600)
     assert panel.grid.maps.scale == scale
-    assert panel.reach_rad == reach_rad
+    assert panel._reach_mrad.value == reach_mrad
     panel.freeze_scale.setChecked(False)
     show(window, bowl(tilt_rad_per_m=8000.0))
-    qtbot.waitUntil(lambda: panel.reach_rad != reach_rad)
+    qtbot.waitUntil(lambda: panel._reach_mrad.value != reach_mrad)
 
 
 def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWindow) -> None:

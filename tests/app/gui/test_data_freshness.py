@@ -67,7 +67,7 @@ def test_alarm_is_about_frames_of_the_present_conditions() -> None:
     well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark=good, reference=good, is_light_on=True)
     well.is_running = True
     situation, before_s = AlarmTracker(), time.perf_counter()
-    situation.follow(well)
+    assert not situation.alarm(well, Activity(), None)
     problem = replace(make_measurement(dim_frame(), views()), problem="too dark", wavefront=None)
     alarms = [
         situation.alarm(well, Activity(), replace(problem, exposure_end_s=end_s))
