@@ -22,7 +22,6 @@ from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.registration import prepare_registration
 from reconstruction.registration.response import WarpRegistration, fitting_model, linear_response
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
-from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
 from reconstruction.solve.expected_errors import MeanGradients, Response, Sensitivity, relative_weights
@@ -266,16 +265,7 @@ class Reconstructor:
         if sample.ratios:
             solution = self._layered(displacement, weights, sample)
         elif self._modal is None:
-            per_px = self.sensor.slope_per_px
-            weights *= self._certainty
-            solution = ZonalSolution(
-                slopes=displacement.coefficients * per_px,
-                valid=displacement.valid,
-                pitch_m=self.sensor.lenslet_pitch_m,
-                arrangement=self.sensor.arrangement,
-                weights=weights,
-                slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
-            )
+            solution = ZonalSolution(self.sensor, displacement, weights * self._certainty)
         else:
             solution = self._modal(displacement, weights=weights)
             if self.may_be_layered:  # results of all frames have the same modes
@@ -310,7 +300,7 @@ class Reconstructor:
 
     def layers(self, displacement: Displacement) -> FrameEquations:
         """A frame's displacements, to which layers at any distance can be fitted."""
-        return self._layered.solver(displacement, self.weights_of(displacement))
+        return FrameEquations(self._layered.solver, displacement, self.weights_of(displacement))
 
     @cached_property
     def _layered(self) -> LayeredWavefronts:

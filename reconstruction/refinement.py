@@ -69,7 +69,7 @@ class Refinement:
         reference = model.image(None)
         self._register = reconstructor.registration_for(reference)
         self._unsaturated = np.zeros(reference.shape, np.bool_)
-        self._grid = Remembered(self._prepared_grid, 2)
+        self._grids = Remembered[PupilGrid](2)
 
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
@@ -107,7 +107,7 @@ class Refinement:
     def _field(self, solution: ModalSolution, modes: PolynomialModes) -> PointField:
         """Light of each object point on the pupil samples, gathered by the wavefront's change over the field."""
         bench_field, coefficients = self._reconstructor.field, solution.coefficients
-        grid = self._grid(solution.modes)
+        grid = self._grids(self._prepared_grid, solution.modes)
         half_width_m = bench_field.half_width_m
         gathered = bench_field.collimator_focal_length_m / self._reconstructor.sensor.wavenumber_rad_per_m
 

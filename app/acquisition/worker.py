@@ -5,6 +5,7 @@ stop takes effect at once. If a device fails, all devices are closed, the light 
 """
 
 import math
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -29,11 +30,13 @@ from app.progress import run_in_thread
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import StageTimes, TimedStage, Timings
 from drivers.interface import DeviceError, Devices, Frame, LightSource, OffCount
-from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
+from reconstruction.runtime.threads import one_blas_thread
 
 T = TypeVar("T")
 P = ParamSpec("P")
 
+# Of turns of Python threads: each waits for its turn after a system call, and a busy window would keep it for 5 ms.
+_SWITCH_INTERVAL_S = 0.0005
 _IDLE_S = 0.1  # longest wait for a command while no frames are taken
 _STATUS_INTERVAL_S = 1.0  # polling also detects an unplugged light or a turned knob
 _LIGHT_OFF_S = 3.0  # for a light that does not answer
@@ -218,10 +221,10 @@ class Acquisition(Commands):
         return done()
 
     def _work(self) -> None:
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
         try:
             with (
                 one_blas_thread(),
-                short_switch_interval(),
                 self._publisher.running(),
                 self._open_devices(self.bench, self._show_opening) as devices,
                 closing(

@@ -278,7 +278,8 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     smooth = pupil_modes(sensor, "legendre", None)
     layered = layered_wavefronts(sensor, smooth, modes, parameters)
     free = ModalSolver(smooth, sensitivity, parameters, variance, layered=layered, field_degree=modes.degree)
-    return LayerSolver(sensor, bench.field, modes, free, hidden=len(gradients) - len(parameters))(displacement)
+    solver = LayerSolver(sensor, bench.field, modes, free, hidden=len(gradients) - len(parameters))
+    return FrameEquations(solver, displacement)
 
 
 def _shown(results: xr.Dataset, gradients: Floats) -> Floats:

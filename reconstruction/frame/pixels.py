@@ -45,13 +45,13 @@ class DarkSubtractor:
     """Subtracts the dark from images of one shape, and corrects the nonlinearity."""
 
     def __init__(self, shape: tuple[int, ...], camera: KnownCamera) -> None:
-        self._shape, self._full_scale, self._linearity = shape, camera.full_scale, camera.linearity
+        self._shape, self._full_scale = shape, np.float32(camera.full_scale)
         self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
         self._dark: Image | None = None
         if camera.dark is not None:
             self._check(camera.dark, "dark")
-            self._dark = _finite(camera.dark, "dark")
-            self._of_camera(np.zeros(shape, np.uint16), self._dark)  # compile now instead of at the first frame
+            self._dark = _finite(camera.dark, "dark").astype(np.float32)
+        self._subtracted(compiled_counts(np.zeros(shape, np.uint16)))  # compile now instead of at the first frame
 
     def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:
         """Light of an image (row, column), counts, and its saturated pixels, the same shape.
@@ -60,27 +60,17 @@ class DarkSubtractor:
         saturated pixels.
         """
         self._check(image, name)
-        if self._dark is not None and image.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)}:
-            light, saturated, full = self._of_camera(image, self._dark)
-        else:
-            light = _finite(image, name)
-            light -= self._dark if self._dark is not None else np.float32(np.percentile(light, BACKGROUND_PERCENT))
-            is_integer = np.issubdtype(image.dtype, np.integer) and math.isfinite(self._full_scale)
-            # Comparing integers with a float takes seven times as long.
-            saturated = np.asarray(image >= (math.ceil(self._full_scale) if is_integer else self._full_scale))
-            full = int(np.count_nonzero(saturated))
-            if self._linearity is not None:
-                light = np.asarray(self._linearity.light(light), np.float32)
+        light, saturated, full = self._subtracted(_finite(image, name))
         require_unsaturated(full, image.size, name)
         return light, saturated
 
-    def _of_camera(self, image: Counts, dark: Image) -> tuple[Image, Booleans, int]:
-        """Light, saturated pixels and their number of an image of few bits, four times as fast as with NumPy."""
+    def _subtracted(self, image: NDArray[Any]) -> tuple[Image, Booleans, int]:
+        """Light, saturated pixels and their number, four times as fast as with NumPy."""
         light, saturated = np.empty(image.shape, np.float32), np.empty(image.shape, np.bool_)
-        pixels: NDArray[Any] = np.ascontiguousarray(image).view()
-        pixels.setflags(write=False)  # as frames are: so that one kind is compiled
-        least = math.ceil(min(max(self._full_scale, 0.0), 2.0**16))
-        return light, saturated, _subtract(pixels, dark, self._curve, np.float32(least), light, saturated)
+        dark = self._dark
+        if dark is None:
+            dark = np.full(image.shape, np.percentile(image, BACKGROUND_PERCENT), np.float32)
+        return light, saturated, _subtract(image, dark, self._curve, self._full_scale, light, saturated)
 
     def _check(self, image: Counts, name: str) -> None:
         """Raise if an image has the wrong shape or does not hold numbers."""
@@ -117,13 +107,21 @@ def _subtract(
     return full
 
 
-def _finite(image: Counts, name: str) -> Image:
-    """Copy an image to float32; raise if a value is not finite."""
-    with np.errstate(over="ignore"):  # overflow becomes infinite, which is rejected below
-        light = image.astype(np.float32)
-    if not np.issubdtype(image.dtype, np.integer) and not np.isfinite(light).all():
+def compiled_counts(image: Counts) -> NDArray[Any]:
+    """Return an image as one of the kinds that are compiled: read-only, as frames are, 8 or 16 bits or float32."""
+    kind = image.dtype if image.dtype in {np.dtype(np.uint8), np.dtype(np.uint16)} else np.float32
+    with np.errstate(over="ignore"):  # overflow becomes infinite
+        pixels = np.ascontiguousarray(image, kind).view()
+    pixels.setflags(write=False)
+    return pixels
+
+
+def _finite(image: Counts, name: str) -> NDArray[Any]:
+    """`compiled_counts` of an image; raise if a value is not finite."""
+    pixels = compiled_counts(image)
+    if not np.issubdtype(image.dtype, np.integer) and not np.isfinite(pixels).all():
         raise ReconstructionError(f"the {name} holds values that are not finite", image=name)
-    return light
+    return pixels
 
 
 def _size(shape: tuple[int, ...]) -> str:
@@ -138,9 +136,6 @@ class Samples(NamedTuple):
     gap: Image  # 1 between the openings, else 0
     dark: Image  # counts; 0 if unknown
     expected: Image  # counts of the reference
-
-
-COMPILED_COUNTS = {np.dtype(np.uint8), np.dtype(np.uint16), np.dtype(np.float64)}  # frames that `collect` reads
 
 
 @compiled
@@ -176,8 +171,8 @@ _EDGE, _MOST_EDGE = 6.0, 3.0  # read noises between the lowest and highest clipp
 _FINEST = 1e-3  # of the highest count, where the scatter is unknown
 
 
-def clip_level(counts: Counts, *, scatter: float, read_noise: float) -> float | None:
-    """Count above which pixels are clipped: they pile up at the highest count; None without a pile.
+def clipped_fraction(counts: Counts, *, scatter: float, read_noise: float) -> float:
+    """Share of the pixels that are clipped: they pile up at the highest count.
 
     The image has any shape. A full well may lie below the camera's full scale, and read noise blurs its edge. Light
     without a limit has ever fewer pixels towards its highest count. `scatter` is the standard deviation of the
@@ -192,18 +187,12 @@ def clip_level(counts: Counts, *, scatter: float, read_noise: float) -> float | 
     if is_integer:  # comparing them with a float takes much longer
         level, lower = math.floor(level), math.floor(lower)
     piled = int(np.count_nonzero(counts > level))
-    return level if is_piled_up(piled, int(np.count_nonzero(counts > lower)) - piled) else None
+    return piled / counts.size if is_piled_up(piled, int(np.count_nonzero(counts > lower)) - piled) else 0.0
 
 
 def is_piled_up(piled: int, below: int) -> bool:
     """True if pixels within a step of the highest count are clipped, by those within the next one."""
     return bool(piled > _PILED_UP * (below + _BY_CHANCE))
-
-
-def clipped_fraction(counts: Counts, *, scatter: float, read_noise: float) -> float:
-    """Share of the pixels above the `clip_level`."""
-    level = clip_level(counts, scatter=scatter, read_noise=read_noise)
-    return 0.0 if level is None else np.count_nonzero(counts > level) / counts.size
 
 
 # Diffraction smooths images: the neighbours of a star's brightest pixel have about 0.6 of its light.

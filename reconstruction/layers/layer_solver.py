@@ -239,27 +239,21 @@ class LayerSolver:
         self._design = LayerDesign(sensor, field, field_modes, free.errors)
         self.footprint_m = self._design.footprint_m
         size = free.errors.colour.shape[0] * free.errors.colour.shape[1] * 4
-        self._exact = Remembered(self._design.rows, 4)
+        self._exact = Remembered[NDArray[np.float32]](4)
         sketched = size * len(layer_orders(SKETCH_DEGREE))
-        self._sketched = Remembered(self._design.rows, max(2, int(_REMEMBERED_BYTES / sketched)))
-
-    def __call__(self, displacement: Displacement, weights: Floats | None = None) -> "FrameEquations":
-        """Prepare the fits of a frame's displacements.
-
-        Raises `ReconstructionError` if too few lenslets are valid. `weights` as in `ModalSolver`.
-        """
-        return FrameEquations(self, displacement, weights)
+        self._sketched = Remembered[NDArray[np.float32]](max(2, int(_REMEMBERED_BYTES / sketched)))
 
     def rows(self, ratio: float, degree: int) -> NDArray[np.float32]:
         """Whitened displacements per rad of a layer's polynomials, (L, K, k)."""
         remembered = self._sketched if degree == SKETCH_DEGREE else self._exact
-        return remembered(ratio, degree)
+        return remembered(self._design.rows, ratio, degree)
 
 
 class FrameEquations:
     """Displacements of one frame, to which layers at any distance can be fitted."""
 
-    def __init__(self, solver: LayerSolver, displacement: Displacement, weights: Floats | None) -> None:
+    def __init__(self, solver: LayerSolver, displacement: Displacement, weights: Floats | None = None) -> None:
+        """`ReconstructionError` if too few lenslets are valid; `weights` as in `ModalSolver`."""
         self.solver, self._displacement, self._weights = solver, displacement, weights
         self._frame = solver.errors.whitened(displacement, weights)
         require_lenslets(self._frame)

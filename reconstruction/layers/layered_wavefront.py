@@ -24,7 +24,7 @@ from reconstruction.layers.layer_solver import (
 from reconstruction.runtime.deferred import Deferred, Remembered
 from reconstruction.solve.evidence import Estimate
 from reconstruction.solve.expected_errors import ALIKE_IN_LAYERS, Whitened
-from reconstruction.solve.modal import Deviations, KeptSquares, KnownModes, ModalSolution, Spread, known_modes
+from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Spread, known_modes
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
@@ -84,7 +84,6 @@ class _Equations(NamedTuple):
 
     singular: Floats  # (n,); 0 where the displacements show nothing
     vectors: Floats  # of the components, (n, n)
-    known: KnownModes
     spread: Spread  # of the wavefronts of the components
 
 
@@ -108,10 +107,9 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = Remembered(self._prepared, 6)  # of 10 MB; two layers need five for their error bars
-        self._equations = Remembered(self._down_dated, 12)
-        self._known = Remembered(self._known_at, 4)
-        self._kept: KeptSquares = []
+        self._design = Remembered[_Design](6)  # of 10 MB; two layers need five for their error bars
+        self._equations = Remembered[_Equations](12)
+        self._known = Remembered[KnownModes](4)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
         """Fit layers at the ratios of the sample.
@@ -125,7 +123,7 @@ class LayeredWavefronts:
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
         coefficients[1:][columns] = fit.wavefront
-        design, (singular, _, known, spread), estimate, *_ = fit
+        design, (singular, _, spread), estimate, *_ = fit
 
         def deviations() -> Deviations:
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
@@ -139,7 +137,7 @@ class LayeredWavefronts:
 
         return ModalSolution(
             coefficients=coefficients,
-            _known=known,
+            _known=spread.known,
             _deviations=Deferred(deviations),
             noise=estimate.noise,
             freedom=estimate.freedom,
@@ -150,7 +148,7 @@ class LayeredWavefronts:
 
     def in_these_modes(self, free: ModalSolution) -> ModalSolution:
         """A wavefront that was found without layers, in as many pupil modes as with them."""
-        return free.extended(self._known(free.known.tobytes()))
+        return free.extended(self._known(self._known_at, free.known.tobytes()))
 
     def _known_at(self, lenslets: bytes) -> KnownModes:
         modes = self._modes.pupil_modes
@@ -158,7 +156,8 @@ class LayeredWavefronts:
 
     def _fit(self, ratios: tuple[float, ...], frame: Whitened) -> _Fit:
         """Fit layers to the displacements of a frame."""
-        design, equations = self._design(ratios), self._equations(ratios, frame.share.tobytes())
+        design = self._design(self._prepared, ratios)
+        equations = self._equations(self._down_dated, ratios, frame.share.tobytes())
         singular, vectors, *_ = equations
         estimate = along_principal(frame, frame.weighted.ravel() @ design.rows, singular, vectors).estimate()
         polynomials = (vectors @ estimate.values).astype(np.float32)
@@ -177,7 +176,7 @@ class LayeredWavefronts:
 
     def _down_dated(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Equations:
         """Equations of lenslets with some shares (L,) of their certainty."""
-        design, share = self._design(ratios), np.frombuffer(share_bytes)
+        design, share = self._design(self._prepared, ratios), np.frombuffer(share_bytes)
         lost = np.flatnonzero(self.solver.errors.is_usable & (share < 1))
         missing = design.rows.reshape(len(share), -1, len(design.gram))[lost]
         weighted = (1 - share[lost, None, None]) * missing
@@ -187,7 +186,7 @@ class LayeredWavefronts:
         singular, vectors = principal(gram)
         components = np.zeros((*self._modes.columns.shape, len(singular)), np.float32)
         components[self._modes.columns] = design.wavefronts @ vectors.astype(np.float32)
-        return _Equations(singular, vectors, known, Spread(components, known, self._kept))
+        return _Equations(singular, vectors, Spread(components, known))
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""

@@ -15,10 +15,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, LensletStatus
@@ -26,13 +25,13 @@ from reconstruction.frame.linearity import LINEAR
 from reconstruction.frame.pixels import (
     BACKGROUND_PERCENT,
     CLIPPED,
-    COMPILED_COUNTS,
     TOO_BRIGHT,
     UNKNOWN_CAMERA,
     KnownCamera,
     Samples,
     clipped_fraction,
     collect,
+    compiled_counts,
 )
 from reconstruction.geometry import Sensor, lenslet_centers
 from reconstruction.modes.field_modes import PolynomialModes
@@ -205,11 +204,7 @@ class QualityChecker:
 
     def _collected(self, frame: Counts) -> tuple[Counts, float, Floats, Floats]:
         """Counts of the samples, the brightest signal, and sums over lit lenslets: light, and excess in the gaps."""
-        pixels: NDArray[Any] = np.ascontiguousarray(frame).reshape(-1).view()
-        if pixels.dtype not in COMPILED_COUNTS:  # the others are rare, and each would be compiled anew
-            pixels = pixels.astype(np.float64)
-        pixels.setflags(write=False)  # as frames are: so that one kind is compiled
-        shape = self._samples.pixel.shape
+        pixels, shape = compiled_counts(frame).reshape(-1), self._samples.pixel.shape
         background = 0.0 if self._knows_dark else np.percentile(pixels[self._samples.pixel], BACKGROUND_PERCENT)
         counts, signals, sums = np.empty(shape, pixels.dtype), np.empty(shape, np.float32), np.empty((2, shape[0]))
         collect(pixels, self._samples, (np.float32(background), self._curve), counts, signals, sums)

@@ -67,8 +67,7 @@ NO_FAULT = Quality()
 def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality:
     """Find a camera that repeats itself, by two frames (row, column) and the time between them."""
     reasons: dict[Fault, str] = {}
-    # The first rows of all other frames differ.
-    if before.shape == frame.shape and np.array_equal(before[:1], frame[:1]) and np.array_equal(before, frame):
+    if _are_same(before, frame):
         reasons[Fault.FROZEN] = "this frame is identical to the one before: the camera repeats itself"
     if elapsed_s <= 0:
         moved = f"went back by {-elapsed_s:.3g} s" if elapsed_s < 0 else "stood still"
@@ -81,14 +80,13 @@ def repeated_reference(frame: Counts, reference: Counts) -> Quality:
 
     Noise makes two exposures differ.
     """
-    is_rounded = frame.dtype != reference.dtype and any(
-        np.issubdtype(image.dtype, np.integer) for image in (frame, reference)
-    )
+    reason = "the frame is the reference itself: give another exposure" if _are_same(frame, reference) else ""
+    return Quality.of(Fault.FROZEN, reason)
 
-    def are_same(one: Counts, other: Counts) -> bool:
-        if not is_rounded:
-            return np.array_equal(one, other)
-        return bool(np.abs(np.subtract(one, other, dtype=np.float64)).max() < 1)
 
-    is_same = are_same(frame[:1], reference[:1]) and are_same(frame, reference)
-    return Quality.of(Fault.FROZEN, "the frame is the reference itself: give another exposure" * is_same)
+def _are_same(one: Counts, other: Counts) -> bool:
+    """True if two images (row, column) are equal, or one is the other in whole counts."""
+    parts = (one[:1], other[:1]), (one, other)  # the first rows of nearly all different images differ
+    if one.dtype == other.dtype or not any(np.issubdtype(each.dtype, np.integer) for each in (one, other)):
+        return all(np.array_equal(*part) for part in parts)
+    return all(np.abs(np.subtract(*part, dtype=np.float64)).max() < 1 for part in parts)

@@ -22,12 +22,10 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.spline import interpolate, mean_interpolation
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
-from reconstruction.runtime.threads import in_threads
 
 OWN_WAVEFRONTS = [(n, 3 - n) for n in range(4)]  # (n, m) of P_m(xi) P_n(eta)
 _LEAST_LENSLETS = 16  # that tell how large own wavefronts usually are; with 4 of them, noise made errors larger
 _ALIGNMENTS = 2
-_AT_ONCE = 64  # lenslets that are aligned at a time
 _SQUARE_OVER_MEDIAN = 2.2  # mean square over the median of the squares, if normally distributed
 
 
@@ -68,14 +66,7 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
     own_images = (blur @ images @ blur.T).reshape(len(images), -1)
     brightness = TRANSMISSION_MODES.values(*reference.offset_px.T / reference.half_width_px)
     edge = np.array(reference.spline_coefficients.shape[::-1]) - 1
-    lenslets, moved_px = np.flatnonzero(reference.lit), np.zeros((np.count_nonzero(reference.lit), 2))
-    light = reference.light[lenslets]
-
-    def aligned(first: int) -> Floats:
-        some = slice(first, first + _AT_ONCE)
-        position_px = reference.position_px[lenslets[some]] + (moved_px[some] @ reference.turn)[:, None]
-        return interpolate(reference.spline_coefficients, np.clip(position_px, 0, edge))[0]
-
+    light, moved_px = reference.light[reference.lit], np.zeros(2)
     for alignment in range(_ALIGNMENTS + 1):
         mean = np.sum(light, axis=0) / np.sum(light)
         along_y, along_x = (part.ravel() for part in np.gradient(mean.reshape(reference.width, -1)))
@@ -85,7 +76,8 @@ def _fitted(reference: ReferenceSubimages, images: Floats) -> tuple[Floats, Floa
         gain, shift = fitted[:, :1], fitted[:, len(brightness) :][:, :2]
         if alignment < _ALIGNMENTS:
             moved_px = moved_px - shift / gain
-            light = np.concatenate(in_threads(aligned, range(0, len(lenslets), _AT_ONCE)))
+            position_px = reference.position_px[reference.lit] + (moved_px @ reference.turn)[:, None]
+            light, _ = interpolate(reference.spline_coefficients, np.clip(position_px, 0, edge))
     variance = (light - fitted @ differences) ** 2 @ fit**2
     return (fitted / gain)[:, -len(images) :].T, (variance / gain**2)[:, -len(images) :].T
 

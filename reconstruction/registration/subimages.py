@@ -101,9 +101,7 @@ class ReferenceSubimages:
                 f"{np.count_nonzero(self.off_camera)} of {self.off_camera.size} lenslets lie outside the frame of"
                 f" {rows} x {columns} pixels: check [lattice] and the frame's size"
             )
-        if np.any((corners_px < 0) | (corners_px > edge)):
-            position_px = np.clip(position_px, 0, edge)
-        self.position_px = position_px  # of the windows on the camera, (L, N, xy)
+        self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.spline_coefficients = self.spline(reference)  # of the whole frame, (row, column)
@@ -168,16 +166,6 @@ class ReferenceSubimages:
         farthest_px = np.abs(edge_px).max(axis=(1, 2))
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
-
-    @cached_property
-    def near_bad(self) -> Booleans:
-        """True for lenslets with a bad pixel in or next to their cell, (L,)."""
-        return self.near(self.bad)
-
-    @cached_property
-    def touched_by_bad(self) -> Booleans:
-        """True for lenslets with a bad pixel in their window, (L,)."""
-        return self.touched(self.bad)
 
     def _usable(self) -> Booleans:
         """True for window positions without a bad pixel among the four around them, (L, N)."""

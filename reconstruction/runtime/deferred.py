@@ -1,13 +1,12 @@
 """Values computed when they are first needed, and results that are remembered; both can be pickled."""
 
+from collections import OrderedDict
 from collections.abc import Callable
-from functools import lru_cache
+from contextlib import suppress
 from threading import Lock
 from typing import Any, Generic, TypeVar, TypeVarTuple
-from weakref import WeakMethod
 
 A = TypeVarTuple("A")
-M = TypeVar("M", bound=Callable[..., Any])
 R = TypeVar("R")
 
 
@@ -30,34 +29,28 @@ class Deferred(Generic[R]):
         return {"_value": self()}
 
 
-class Remembered(Generic[*A, R]):
-    """A method that remembers its last results; they are not pickled.
+class Remembered(Generic[R]):
+    """The last results of a function, by its arguments; they are not pickled.
 
-    Its object is referred to weakly. It holds these results, tens of megabytes, and would else refer to itself: Python
-    seldom looks for such objects, so that a process that prepares many reconstructions grew by gigabytes.
+    It does not refer to the function: a method's object would refer to itself, and to tens of megabytes of results.
+    Python seldom frees such objects.
     """
 
-    def __init__(self, method: Callable[[*A], R], most: int) -> None:
+    def __init__(self, most: int) -> None:
         """`most` results are kept."""
-        weak = WeakMethod(method)
-        self._method, self._most = weak, most
+        self._most, self._results = most, OrderedDict[tuple[Any, ...], R]()
 
-        def called(*args: *A) -> R:
-            return _alive(weak)(*args)
+    def __call__(self, function: Callable[[*A], R], *args: *A) -> R:
+        """The result of the function, which is always the same one."""
+        found = self._results.get(args)
+        if found is None:
+            found = self._results[args] = function(*args)
+            if len(self._results) > self._most:
+                self._results.popitem(last=False)
+        else:
+            with suppress(KeyError):  # another thread has just dropped it
+                self._results.move_to_end(args)
+        return found
 
-        self._cached = lru_cache(maxsize=most)(called)
-
-    def __call__(self, *args: *A) -> R:
-        """The method's result."""
-        return self._cached(*args)
-
-    def __reduce__(self) -> tuple[type, tuple[Callable[[*A], R], int]]:
-        return Remembered, (_alive(self._method), self._most)
-
-
-def _alive(method: WeakMethod[M]) -> M:
-    """Return the method of an object that exists."""
-    found = method()
-    if found is None:
-        raise RuntimeError("the object of a remembered method is gone")
-    return found
+    def __reduce__(self) -> tuple[type, tuple[int]]:
+        return Remembered, (self._most,)

@@ -1,11 +1,11 @@
-"""Persistent worker threads, and process-wide settings, such as the threads of BLAS."""
+"""Persistent worker threads, their names, and the threads of BLAS."""
 
 import os
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from functools import cache, lru_cache
 from pathlib import Path
 from threading import RLock
@@ -17,35 +17,7 @@ A = TypeVar("A")
 R = TypeVar("R")
 
 THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
-_SWITCH_INTERVAL_S = 0.0005
 _LETTERS = 15  # of a thread's name that Linux keeps
-
-
-class ProcessSetting:
-    """A setting in force while at least one `with ... .wanted()` block runs, in any thread."""
-
-    def __init__(self, begin: Callable[[], Callable[[], object]]) -> None:
-        """`begin` applies the setting and returns a function that restores the previous state."""
-        self._begin = begin
-        self._changing = RLock()  # re-entrant: garbage collection may end another block here
-        self._wanted_by = 0
-        self._restore: Callable[[], object] | None = None
-
-    @contextmanager
-    def wanted(self) -> Iterator[None]:
-        """Keep the setting in force inside a `with` block."""
-        with self._changing:
-            self._wanted_by += 1
-            if self._restore is None:
-                self._restore = self._begin()
-        try:
-            yield
-        finally:
-            with self._changing:
-                self._wanted_by -= 1
-                if not self._wanted_by and self._restore is not None:
-                    self._restore()
-                    self._restore = None
 
 
 @cache
@@ -85,42 +57,36 @@ def name_threads() -> None:
             Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:_LETTERS])
 
 
-def one_blas_thread() -> AbstractContextManager[None]:
-    """Limit BLAS to one thread in the whole process inside a `with` block.
+class _BlasLimit:
+    """The blocks that want one BLAS thread, and what restores the threads of before."""
+
+    changing = RLock()  # re-entrant: garbage collection may end another block here
+    wanted_by = 0
+    restore: Callable[[], object]
+
+
+@contextmanager
+def one_blas_thread() -> Iterator[None]:
+    """Limit BLAS to one thread in the whole process while a `with` block runs, in any thread.
 
     The threads of BLAS spin while they wait for one another: on a busy computer a decomposition of 30 ms takes half a
     second, and frames are lost. One thread also adds sums in a fixed order, so that results repeat.
     """
-    return _one_blas_thread.wanted()
-
-
-def _limit_blas() -> Callable[[], object]:
-    limit: Callable[[], object] = _libraries(len(sys.modules)).limit(limits=1, user_api="blas").restore_original_limits
-    return limit
+    with _BlasLimit.changing:
+        if not _BlasLimit.wanted_by:
+            limit = _libraries(len(sys.modules)).limit(limits=1, user_api="blas")
+            _BlasLimit.restore = limit.restore_original_limits
+        _BlasLimit.wanted_by += 1
+    try:
+        yield
+    finally:
+        with _BlasLimit.changing:
+            _BlasLimit.wanted_by -= 1
+            if not _BlasLimit.wanted_by:
+                _BlasLimit.restore()
 
 
 @lru_cache(maxsize=1)
 def _libraries(_modules: int) -> ThreadpoolController:
     """The loaded libraries, which take a millisecond to find; more are loaded only with more modules."""
     return ThreadpoolController()
-
-
-_one_blas_thread = ProcessSetting(_limit_blas)
-
-
-def short_switch_interval() -> AbstractContextManager[None]:
-    """Switch Python threads every 0.5 ms instead of 5 ms inside a `with`.
-
-    A thread waits for its turn after each system call: beside a busy window, writing a frame (ten calls) would take up
-    to 50 ms instead of 5. Several acquisitions may nest this in any order.
-    """
-    return _short_switch_interval.wanted()
-
-
-def _shorten_switch_interval() -> Callable[[], object]:
-    before_s = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH_INTERVAL_S)
-    return lambda: sys.setswitchinterval(before_s)
-
-
-_short_switch_interval = ProcessSetting(_shorten_switch_interval)

@@ -17,8 +17,8 @@ prepared equations by down-dating.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple, Self, TypeAlias
+from functools import cached_property, lru_cache
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,52 +53,34 @@ def known_modes(modes: PupilModes, used: Booleans, *, extrapolate: bool) -> Know
     return KnownModes(modes, used, values)
 
 
-_MOST_KEPT = 3e7  # squares; more take some hundred megabytes
-KeptSquares: TypeAlias = list[tuple[object, bytes, Image]]
-"""At most one: the key of a `Spread`, field modes, and the squares there."""
-
-
+@dataclass(frozen=True, slots=True, eq=False)
 class Spread:
     """Independent components of a wavefront, each with a standard deviation that differs from frame to frame."""
 
-    def __init__(self, components: Image, known: KnownModes, kept: KeptSquares) -> None:
-        """`components` (pupil_mode - 1, field_mode, n), rad, where each deviates by 1.
+    components: Image  # rad where each deviates by 1, in the first pupil modes, (pupil_mode - 1, field_mode, n)
+    known: KnownModes
 
-        `kept` holds the squares that were used last, and is shared by all of a solver.
-        """
-        self.components, self._known, self._kept = components, known, kept
-        self._key = object()  # not the spread, which refers to what is kept: Python seldom frees circles
-
-    def variance(self, field_modes: Floats, deviation: Image) -> Image:
-        """Variance of the wavefront, (position, known lenslet), rad^2, for deviations (n,) of the components.
-
-        `field_modes` (position, field_mode). Live frames ask for the same positions, the views, again and again.
-        """
-        squared, key = deviation**2, field_modes.tobytes()
-        if len(field_modes) * self._known.values.shape[1] * squared.size > _MOST_KEPT:
-            return np.stack([self._squares(at) @ squared for at in field_modes])
-        for of, at, squares in self._kept[:]:
-            if of is self._key and at == key:
-                return np.asarray(squares @ squared)
-        squares = np.stack([self._squares(at) for at in field_modes])
-        self._kept[:] = [(self._key, key, squares)]
-        return np.asarray(squares @ squared)
-
-    def _squares(self, field_modes: Floats) -> Image:
-        """Squares of what the components deviate at one position, (known lenslet, n)."""
-        values = self._known.values[: len(self.components)].T.astype(np.float32)
-        return np.asarray((values @ (field_modes.astype(np.float32) @ self.components)) ** 2)
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**vars(self), "_kept": []}
+    def at(self, field_modes: Image) -> Image:
+        """Wavefronts of the components at field positions (position, field_mode), (position, known lenslet, n)."""
+        values = self.known.values[: len(self.components)].T.astype(np.float32)
+        return np.stack([values @ (position @ self.components) for position in field_modes])
 
 
 class Deviations(NamedTuple):
     """Standard deviations of one frame's components, and deviations beyond these."""
 
-    spread: Spread  # in the first pupil modes; the others are 0
+    spread: Spread
     of_components: Image  # (n,)
     others: Image  # rad, (pupil_mode - 1, field_mode, k)
+
+
+_MOST_SQUARES = 3e7  # at a time; more take some hundred megabytes
+
+
+@lru_cache(maxsize=1)  # live frames ask for the same positions, the views, again and again
+def _squares(spread: Spread, field_modes: bytes) -> Image:
+    """Squares of the wavefronts of the components, (position, known lenslet, n)."""
+    return spread.at(np.frombuffer(field_modes, np.float32).reshape(-1, spread.components.shape[1])) ** 2
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -136,32 +118,35 @@ class ModalSolution:
         `field_modes` (..., field_mode): values of the field modes T_q at the field positions.
         """
         phase = field_modes @ (self.coefficients[1:].T @ self._known.values)
-        if phase.shape[-1] == self.known.size:
-            return phase.reshape(*phase.shape[:-1], *self.known.shape)
-        wavefront = np.full((*phase.shape[:-1], *self.known.shape), np.nan)
-        wavefront[..., self.known] = phase
-        return wavefront
+        return self._on_lattice(np.asarray(phase))
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront`, rad, the same shape."""
-        flat, (spread, deviation, others) = field_modes.reshape(-1, field_modes.shape[-1]), self._deviations()
-        variance = spread.variance(flat, deviation)
-        for other in np.moveaxis(others, -1, 0):
-            values = self._known.values[: len(other)].astype(np.float32)
-            variance = variance + (flat.astype(np.float32) @ other.T @ values) ** 2
-        sigma = np.full((len(flat), *self.known.shape), np.nan)
-        sigma[:, self.known] = np.sqrt(variance)
-        return sigma.reshape(*field_modes.shape[:-1], *self.known.shape)
+        spread, deviation, others = self._deviations()
+        flat = field_modes.reshape(-1, field_modes.shape[-1]).astype(np.float32)
+        at_once = max(1, int(_MOST_SQUARES / max(spread.known.values.shape[1] * deviation.size, 1)))
+        parts = [flat[first : first + at_once].tobytes() for first in range(0, len(flat), at_once)]
+        variance = np.concatenate([_squares(spread, part) @ deviation**2 for part in parts])
+        variance += np.sum(Spread(others, spread.known).at(flat) ** 2, axis=-1)
+        return self._on_lattice(np.sqrt(variance, dtype=np.float64).reshape(*field_modes.shape[:-1], -1))
 
     def deviations(self, field_modes: Floats) -> Image:
         """Independent deviations of `wavefront`, each one standard deviation, for one field position.
 
         From field modes (field_mode,) to rad, (lenslet_row, lenslet_column, n); their squares add to the variance.
         """
-        deviations = np.full((*self.known.shape, self.root_covariance.shape[2]), np.nan, np.float32)
-        at = field_modes.astype(np.float32) @ self.root_covariance
-        deviations[self.known] = self._known.values.T.astype(np.float32) @ at
+        root = self.root_covariance
+        deviations = np.full((*self.known.shape, root.shape[2]), np.nan, np.float32)
+        deviations[self.known] = Spread(root, self._known).at(field_modes[None].astype(np.float32))[0]
         return deviations
+
+    def _on_lattice(self, values: Floats) -> Floats:
+        """Arrange values (..., known lenslet): (..., lenslet_row, lenslet_column), NaN where unknown."""
+        if values.shape[-1] == self.known.size:
+            return values.reshape(*values.shape[:-1], *self.known.shape)
+        arranged = np.full((*values.shape[:-1], *self.known.shape), np.nan)
+        arranged[..., self.known] = values
+        return arranged
 
     @cached_property
     def coefficients_sigma(self) -> Floats:
@@ -176,9 +161,9 @@ class ModalSolution:
 
         It includes the noise of the displacements and what the prior suppresses.
         """
-        shape = self.root_covariance.shape[:2]
-        flat = self.root_covariance.reshape(-1, self.root_covariance.shape[2]).astype(np.float64)
-        return (flat @ flat.T).reshape(*shape, *shape)
+        root = self.root_covariance
+        flat = root.reshape(-1, root.shape[2]).astype(np.float64)
+        return (flat @ flat.T).reshape(*root.shape[:2], *root.shape[:2])
 
     @property
     def displacement(self) -> Floats:
@@ -205,13 +190,9 @@ class ModalSolution:
     @property
     def root_covariance(self) -> Image:
         """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
-        found: Image | None = vars(self).get("_root_covariance")  # no cached property: see `Deferred`
-        if found is None:
-            spread, deviation, others = self._deviations()
-            root = np.concatenate([spread.components * deviation, others], axis=-1)
-            found = np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
-            vars(self)["_root_covariance"] = found
-        return found
+        spread, deviation, others = self._deviations()
+        root = np.concatenate([spread.components * deviation, others], axis=-1)
+        return np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))
 
 
 PRIOR_EXPONENT = 5.0  # of the degree; with 4 the residuals at 100,000 e- are a fifth larger
@@ -231,9 +212,7 @@ class _Equations:
 
     singular: Floats  # (n,)
     vectors: Floats | None  # of the down-dated equations in the prepared components, (n, n); None if these are all
-    scaled: Image  # ((pupil_mode - 1) * field_mode, n)
-    known: KnownModes
-    spread: Spread  # `scaled` at the known lenslets
+    spread: Spread  # whose components are `scaled`
 
 
 def _blocks(basis: Floats) -> list[tuple[NDArray[np.intp], NDArray[np.intp]]]:
@@ -297,10 +276,9 @@ class ModalSolver:
         to_left = vectors / self._singular
         across = np.concatenate(in_threads(lambda some: (some @ to_left).astype(np.float32), rows))
         self._across = across.T.copy()  # left singular vectors, (n, lenslet * K)
-        self._equations = Remembered(self._down_dated, 16)
-        self._kept: KeptSquares = []
+        self._equations = Remembered[_Equations](16)
         if not self._is_smooth:
-            self._equations(self.errors.is_usable.astype(np.float64).tobytes())  # fails early
+            self._equations(self._down_dated, self.errors.is_usable.astype(np.float64).tobytes())  # fails early
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
         """Fit the displacements of the valid lenslets inside the pupil.
@@ -311,8 +289,9 @@ class ModalSolver:
         equations, components = self._components(frame)
         estimate = components.estimate() if self._is_smooth else self._without_prior(components)
         found = estimate.values
-        coefficients = np.zeros((len(self._modes.degree), len(displacement.coefficients[0, 0])))
-        coefficients[1:] = (equations.scaled @ found.astype(np.float32)).reshape(coefficients[1:].shape)
+        scaled = equations.spread.components
+        coefficients = np.zeros((len(scaled) + 1, scaled.shape[1]))
+        coefficients[1:] = (scaled.reshape(-1, found.size) @ found.astype(np.float32)).reshape(scaled.shape[:2])
 
         def fitted() -> Floats:
             prepared = found if equations.vectors is None else equations.vectors @ found
@@ -321,12 +300,11 @@ class ModalSolver:
 
         def deviations() -> Deviations:
             deviation = np.sqrt(self.errors.variance(estimate, components.singular, ALIKE_IF_FREE))
-            others = np.empty((*coefficients[1:].shape, 0), np.float32)
-            return Deviations(equations.spread, deviation.astype(np.float32), others)
+            return Deviations(equations.spread, deviation.astype(np.float32), scaled[..., :0])
 
         return ModalSolution(
             coefficients=coefficients,
-            _known=equations.known,
+            _known=equations.spread.known,
             _deviations=Deferred(deviations),
             noise=estimate.noise,
             freedom=estimate.freedom,
@@ -341,7 +319,7 @@ class ModalSolver:
 
     def _components(self, frame: Whitened) -> tuple[_Equations, Components]:
         """Equations of the lenslets used, and the data along their components."""
-        equations = self._equations(frame.share.tobytes())
+        equations = self._equations(self._down_dated, frame.share.tobytes())
         along = (self._across @ frame.weighted.ravel().astype(np.float32)).astype(np.float64)
         if equations.vectors is not None:
             along = np.vecmat(self._singular * along, equations.vectors) / equations.singular
@@ -371,9 +349,8 @@ class ModalSolver:
         known = known_modes(self._modes, used, extrapolate=self._is_smooth)
         if not self._is_smooth:
             self._require_distinct(known.values, scaled / singular)
-        components: Image = scaled.astype(np.float32)
-        spread = Spread(components.reshape(len(self._modes.degree) - 1, -1, len(singular)), known, self._kept)
-        return _Equations(singular, vectors, components, known, spread)
+        components = scaled.astype(np.float32).reshape(len(self._modes.degree) - 1, -1, len(singular))
+        return _Equations(singular, vectors, Spread(components, known))
 
     def _seen(self, square: Floats, vectors: Floats) -> tuple[Floats, Floats]:
         """Singular values (n,) and vectors of the components that the displacements show.

@@ -15,44 +15,43 @@ from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU, splu
 
 from reconstruction.arrays import Booleans, Floats
-from reconstruction.geometry import Arrangement, lenslet_centers
-from reconstruction.runtime.deferred import Deferred
+from reconstruction.displacement import Displacement
+from reconstruction.geometry import Arrangement, Sensor, lenslet_centers
 
 
-@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class ZonalSolution:
-    """Slopes that are integrated to a wavefront on request."""
+    """Displacements, the slopes of the wavefront, that are integrated on request."""
 
-    slopes: Floats  # of every field mode, rad/m, (lenslet_row, lenslet_column, field_mode, xy)
-    valid: Booleans  # (lenslet_row, lenslet_column)
-    pitch_m: float
-    arrangement: Arrangement
+    sensor: Sensor
+    displacement: Displacement
     weights: Floats | None = None  # in any unit, (lenslet_row, lenslet_column)
-    slope_covariance: Deferred[Floats] | None = None  # (rad/m)^2, (row, column, field_mode, xy, field_mode, xy)
 
     def wavefront(self, field_modes: Floats) -> Floats:
         """Wavefront, rad, for values (..., field_mode) of the field modes; see `ModalSolution`."""
-        slopes = np.tensordot(field_modes, self.slopes, axes=([-1], [2]))
+        displacement, sensor = self.displacement, self.sensor
         return zonal_wavefront(
-            slopes, self.valid, pitch_m=self.pitch_m, weights=self.weights, arrangement=self.arrangement
+            np.tensordot(field_modes, displacement.coefficients * sensor.slope_per_px, axes=([-1], [2])),
+            displacement.valid,
+            pitch_m=sensor.lenslet_pitch_m,
+            weights=self.weights,
+            arrangement=sensor.arrangement,
         )
 
     def sigma(self, field_modes: Floats) -> Floats:
         """Standard deviation of `wavefront` from the noise of the slopes, rad, the same shape."""
-        sigma = np.full((*field_modes.shape[:-1], self.valid.size), np.nan)
-        equations = _equations(self.valid, self.weights, self.arrangement)
-        if equations is not None and self.slope_covariance is not None:
-            unit = np.eye(self.valid.size)
-            by_slope = [equations.solve(unit, axis) * self.pitch_m for axis in (0, 1)]  # each (node, lenslet)
-            covariance = self.slope_covariance()
-            noise = covariance.reshape(self.valid.size, *covariance.shape[2:])
-            noise = np.where(self.valid.ravel()[:, None, None, None, None], noise, 0.0)
+        valid, sensor = self.displacement.valid, self.sensor
+        sigma = np.full((*field_modes.shape[:-1], valid.size), np.nan)
+        equations = _equations(valid, self.weights, sensor.arrangement)
+        if equations is not None:
+            rad_per_px = sensor.slope_per_px * sensor.lenslet_pitch_m
+            by_px = [equations.solve(np.eye(valid.size), axis) * rad_per_px for axis in (0, 1)]  # each (node, lenslet)
+            covariance = self.displacement.covariance
+            noise = np.where(valid[..., None, None, None, None], covariance, 0.0).reshape(-1, *covariance.shape[2:])
             at_view = np.einsum("...q,lqarb,...r->...lab", field_modes, noise, field_modes, optimize=True)
-            variance = sum(
-                at_view[..., a, b] @ (by_slope[a] * by_slope[b]).T for a, b in ((0, 0), (0, 1), (1, 0), (1, 1))
-            )
+            variance = sum(at_view[..., a, b] @ (by_px[a] * by_px[b]).T for a, b in ((0, 0), (0, 1), (1, 0), (1, 1)))
             sigma[..., equations.node] = np.sqrt(variance)
-        return sigma.reshape(*field_modes.shape[:-1], *self.valid.shape)
+        return sigma.reshape(*field_modes.shape[:-1], *valid.shape)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

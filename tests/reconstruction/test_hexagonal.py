@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.optics import sensor_of
+from support.optics import converged, sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, lenslet_centers
+from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.runtime.deferred import Deferred
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
@@ -85,14 +85,11 @@ def test_zonal_error_bars_are_the_scatter_of_noisy_wavefronts() -> None:
     root = generator.normal(size=(*X.shape, 2, 2))
     covariance = (root @ np.swapaxes(root, -1, -2))[:, :, None, :, None, :]
     noise = np.einsum("rcab,nrcb->nrca", root, generator.normal(size=(4000, *X.shape, 2)))
-    scatter = zonal_wavefront(noise, valid, pitch_m=1.0, arrangement="hexagonal").std(axis=0)
-    solution = ZonalSolution(
-        slopes=np.zeros((*X.shape, 1, 2)),
-        valid=valid,
-        pitch_m=1.0,
-        arrangement="hexagonal",
-        slope_covariance=Deferred(lambda: covariance),
-    )
+    noise *= SENSOR.slope_per_px
+    scatter = zonal_wavefront(noise, valid, pitch_m=PITCH_M, arrangement="hexagonal").std(axis=0)
+    still = np.zeros((*X.shape, 1, 2))
+    measured = replace(converged(LegendreModes(1), still, still), covariance_source=covariance)
+    solution = ZonalSolution(SENSOR, measured)
     np.testing.assert_allclose(solution.sigma(np.ones(1)), scatter, rtol=0.08)
 
 

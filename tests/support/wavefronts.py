@@ -5,10 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from reconstruction.arrays import Floats
-from reconstruction.displacement import diagonal_covariance
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.runtime.deferred import Deferred
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.expected_errors import MeanGradients
 from reconstruction.solve.modal import ModalSolver
@@ -26,16 +24,8 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     growth = np.stack([1e6 * U, 1e6 * V], axis=-1)
     slopes = np.stack([slopes, growth, np.zeros_like(slopes)], axis=2)
     variance = np.full(slopes.shape, 100.0**2)
-    valid = np.ones(U.shape, np.bool_)
     displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
-    solution = ZonalSolution(
-        slopes=slopes,
-        valid=valid,
-        pitch_m=SENSOR.lenslet_pitch_m,
-        arrangement="square",
-        slope_covariance=Deferred(lambda: diagonal_covariance(variance)),
-    )
-    return Wavefront.of(SENSOR, FIELD, displacement, solution)
+    return Wavefront.of(SENSOR, FIELD, displacement, ZonalSolution(SENSOR, displacement))
 
 
 def modal(

@@ -24,7 +24,6 @@ from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from drivers.errors import DeviceError
-from reconstruction.arrays import Image
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.pupil_modes import PupilModes
@@ -190,7 +189,8 @@ def _with_wavefront(
         solution = ModalSolution(
             coefficients=arrays["coefficients"],
             _known=known,
-            _deviations=Deferred(lambda: _deviations(root(), known)),
+            # The root of the covariance as components that deviate by 1.
+            _deviations=Deferred(lambda: Deviations(Spread(root()[..., :0], known), root()[0, 0, :0], root())),
             noise=noise,
             freedom=freedom,
             _displacement=displacement,
@@ -198,15 +198,7 @@ def _with_wavefront(
             fitted=detail("fitted"),
         )
     else:
-        per_px = sensor.slope_per_px
-        solution = ZonalSolution(
-            slopes=displacement.coefficients * per_px,
-            valid=displacement.valid,
-            pitch_m=sensor.lenslet_pitch_m,
-            arrangement=sensor.arrangement,
-            weights=arrays.get("weights"),
-            slope_covariance=Deferred(lambda: displacement.covariance * per_px**2),
-        )
+        solution = ZonalSolution(sensor, displacement, arrays.get("weights"))
     sample, field, views = made.assumed.sample or FREE, calibration.bench.field, arrays["wavefront"]
     wavefront = Wavefront(sensor, field, displacement, solution, views, sample, detail("sigma"))
     return replace(made, registered=registered, wavefront=wavefront)
@@ -215,11 +207,6 @@ def _with_wavefront(
 @lru_cache(maxsize=4)
 def _known(modes: PupilModes, lenslets: bytes) -> KnownModes:
     return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
-
-
-def _deviations(root: Image, known: KnownModes) -> Deviations:
-    """Take the root of the covariance as components that deviate by 1."""
-    return Deviations(Spread(root, known, []), np.ones(root.shape[2], np.float32), root[..., :0])
 
 
 def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:

@@ -225,6 +225,7 @@ class GaussNewton:
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
         tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
         self._limits = FitLimits(tolerance_px.astype(np.float32), poor_square.astype(np.float32))
+        self._near_bad, self._touched_by_bad = reference.near(reference.bad), reference.touched(reference.bad)
         # Compile now instead of at the first frame.
         dark = np.zeros((8, 8), np.float32)
         self._fit(dark, dark > 0, np.zeros(len(reference.lit), np.bool_), None, lambda: None)
@@ -234,7 +235,7 @@ class GaussNewton:
         reference, warp = self.reference, self._warp
         is_saturated = bool(saturated.any())
         bad = reference.bad | saturated if is_saturated else reference.bad
-        sees_bad = reference.near(bad) if is_saturated else reference.near_bad
+        sees_bad = reference.near(bad) if is_saturated else self._near_bad
         coefficients, filter_share = shared_coefficients(repaired(light, bad) if bad.any() else light)
         fits = self._fit(coefficients, bad, sees_bad, start, filter_share)
 
@@ -253,7 +254,7 @@ class GaussNewton:
             faults={
                 LensletStatus.DIVERGED: ~found,
                 LensletStatus.LEFT_CELL: spoilt,
-                LensletStatus.DARK: spoilt & reference.touched_by_bad,
+                LensletStatus.DARK: spoilt & self._touched_by_bad,
                 LensletStatus.SATURATED: spoilt & reference.touched(saturated),
             },
         )

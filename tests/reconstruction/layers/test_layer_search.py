@@ -34,7 +34,7 @@ SOLVER = solver()
 
 
 def equations(coefficients: Floats, *, lost: int = 0) -> FrameEquations:
-    return SOLVER(displacement(coefficients, lost=lost))
+    return FrameEquations(SOLVER, displacement(coefficients, lost=lost))
 
 
 @pytest.mark.parametrize("ratio", [0.0, 6.0, -1.5])

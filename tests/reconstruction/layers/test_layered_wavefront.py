@@ -24,7 +24,7 @@ from support.polynomial_layers import (
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_search import LayerSearch, search_layers
-from reconstruction.layers.layer_solver import Layer, LayerFit, LayerModes
+from reconstruction.layers.layer_solver import FrameEquations, Layer, LayerFit, LayerModes
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.field_modes import gradient_basis
 from reconstruction.solve.evidence import FitQuality
@@ -61,7 +61,7 @@ def test_wavefront_of_two_layers_is_their_sum() -> None:
 @pytest.mark.parametrize("ratio", [-0.975, 1e-3, 1e-7])
 def test_prepared_numbers_are_normal(ratio: float) -> None:
     """With others, sums take fifty times as long; a layer near the lenslets hardly changes over the field."""
-    prepared = WAVEFRONTS._design((ratio,)).wavefronts
+    prepared = WAVEFRONTS._prepared((ratio,)).wavefronts
     assert np.abs(prepared[prepared != 0]).min() > np.finfo(np.float32).tiny
 
 
@@ -71,7 +71,7 @@ def test_prepared_solve_equals_the_full_fit(name: str, lost: int) -> None:
     """Wavefront and displacements: the design times the layers' polynomials."""
     ratios = (-0.8,) if name == "one" else (FAR, NEAR)
     measured = displacement(noisy(SAMPLES[name](), 1), lost=lost)
-    found, full = WAVEFRONTS(measured, None, AssumedSample(ratios)), SOLVER(measured).fit(*ratios)
+    found, full = WAVEFRONTS(measured, None, AssumedSample(ratios)), FrameEquations(SOLVER, measured).fit(*ratios)
     expected = full.wavefront(SENSOR, *VIEWS_M[1])
     assert np.std((found.wavefront(at(*VIEWS_M[1])) - expected)[found.known]) < 1e-3 * np.std(expected)
     explained = sum(SOLVER.rows(layer.ratio, SOLVER.degree) @ layer.coefficients for layer in full.layers)
@@ -106,7 +106,7 @@ def test_faint_lenslets_count_less() -> None:
     measured, sample = displacement(noisy(displacements_px(PHASE / 10, -0.975), 3)), AssumedSample((-0.975,))
     weights = np.where(np.arange(measured.valid.size) % 3, 1.0, 1 / 16).reshape(measured.valid.shape)
     found = WAVEFRONTS(measured, weights, sample)
-    expected = SOLVER(measured, weights).fit(-0.975).wavefront(SENSOR, *VIEWS_M[1])
+    expected = FrameEquations(SOLVER, measured, weights).fit(-0.975).wavefront(SENSOR, *VIEWS_M[1])
     assert np.std(found.wavefront(at(*VIEWS_M[1])) - expected) < 1e-3 * np.std(expected)
     assert found.sigma(at(0, 0)).mean() > 1.1 * WAVEFRONTS(measured, None, sample).sigma(at(0, 0)).mean()
 
@@ -135,7 +135,7 @@ SAMPLES = {
 
 @cache
 def searched(name: str) -> LayerSearch:
-    return search_layers(SOLVER(displacement(noisy(SAMPLES[name](), 0))), None)
+    return search_layers(FrameEquations(SOLVER, displacement(noisy(SAMPLES[name](), 0))), None)
 
 
 @pytest.mark.slow

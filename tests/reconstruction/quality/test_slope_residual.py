@@ -49,13 +49,8 @@ def test_complete_fit_leaves_no_residual(small_bench: SmallBench) -> None:
 
 
 def test_zonal_is_compared_with_best_fitting_modes() -> None:
-    solution = ZonalSolution(
-        slopes=displacement().coefficients * SENSOR.slope_per_px,
-        valid=np.ones(U.shape, np.bool_),
-        pitch_m=SENSOR.lenslet_pitch_m,
-        arrangement=SENSOR.arrangement,
-    )
-    wavefront = Wavefront.of(SENSOR, FIELD, displacement(), solution)
+    measured = displacement()
+    wavefront = Wavefront.of(SENSOR, FIELD, measured, ZonalSolution(SENSOR, measured))
     enough = slope_residual(wavefront, pupil_modes(SENSOR, "legendre", 6))
     np.testing.assert_allclose(enough, 0, atol=1e-9)
     too_few = slope_residual(wavefront, pupil_modes(SENSOR, "legendre", 3))
@@ -69,12 +64,7 @@ def test_unknown_lenslets_are_not_compared(row: int) -> None:
     valid[row, 4] = False
     measured = displacement()
     measured.outcome[~valid] = 3
-    solution = ZonalSolution(
-        slopes=measured.coefficients * SENSOR.slope_per_px,
-        valid=valid,
-        pitch_m=SENSOR.lenslet_pitch_m,
-        arrangement=SENSOR.arrangement,
-    )
+    solution = ZonalSolution(SENSOR, measured)
     residual = slope_residual(Wavefront.of(SENSOR, FIELD, measured, solution), pupil_modes(SENSOR, "zernike", 6))
     outside = (np.hypot(U, V) > SENSOR.pupil_half_width_m[1]) | ~valid
     np.testing.assert_array_equal(np.isnan(residual), np.broadcast_to(outside, residual.shape))

@@ -1,4 +1,4 @@
-"""Process-wide settings: one BLAS thread, short switch interval."""
+"""One BLAS thread in the whole process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ import svwfs
 from app.bench.imaging_model import BenchModel
 from reconstruction.layers.layer_search import search_layers
 from reconstruction.reconstructor import Reconstructor
-from reconstruction.runtime.threads import one_blas_thread, short_switch_interval
+from reconstruction.runtime.threads import one_blas_thread
 
 
 def blas_threads() -> set[int]:
@@ -39,27 +39,6 @@ def test_blas_limit_lasts_until_last_user_leaves() -> None:
         assert blas_threads() == {1}
         second.__exit__(None, None, None)
         assert blas_threads() == {2}
-
-
-def turns_s() -> float:
-    return sys.getswitchinterval()
-
-
-@pytest.mark.parametrize("leaving", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
-def test_switch_interval_is_short_until_last_user_leaves(leaving: tuple[int, ...]) -> None:
-    before_s = turns_s()
-    wanting = [short_switch_interval() for _ in leaving]
-    for each in wanting:
-        each.__enter__()
-        assert turns_s() < before_s
-    for index in leaving[:-1]:
-        wanting[index].__exit__(None, None, None)
-        assert turns_s() < before_s
-    wanting[leaving[-1]].__exit__(None, None, None)
-    assert turns_s() == before_s
-    with short_switch_interval():  # and again
-        assert turns_s() < before_s
-    assert turns_s() == before_s
 
 
 @pytest.mark.slow

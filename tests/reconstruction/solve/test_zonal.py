@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from support.optics import converged, sensor_of
 
-from reconstruction.runtime.deferred import Deferred
+from reconstruction.modes.field_modes import SampledModes
 from reconstruction.solve.zonal import ZonalSolution, zonal_wavefront
 
 PITCH_M = 2.0
@@ -72,33 +75,30 @@ def test_least_squares_matches_dense_solution() -> None:
 
 def test_weighted_least_squares_and_sigma_match_dense_solution() -> None:
     generator = np.random.default_rng(5)
-    weights = generator.uniform(0.1, 10, (ROWS, COLUMNS))
+    weights, sensor = generator.uniform(0.1, 10, (ROWS, COLUMNS)), sensor_of(ROWS, COLUMNS)
     index = np.arange(ROWS * COLUMNS).reshape(ROWS, COLUMNS)
     pairs = [(a, b, 0) for a, b in zip(index[:, :-1].ravel(), index[:, 1:].ravel(), strict=True)]
     pairs += [(a, b, 1) for a, b in zip(index[:-1].ravel(), index[1:].ravel(), strict=True)]
     difference, mean, root = np.zeros((len(pairs), index.size)), np.zeros((len(pairs), index.size, 2)), []
     for row, (a, b, axis) in enumerate(pairs):
         difference[row, a], difference[row, b] = -1, 1
-        mean[row, [a, b], axis] = PITCH_M / 2
+        mean[row, [a, b], axis] = sensor.lenslet_pitch_m / 2
         root.append(np.sqrt(1 / (1 / weights.flat[a] + 1 / weights.flat[b])))
     inverse = np.linalg.pinv(np.array(root)[:, None] * difference) * np.array(root)
     by_slope = np.einsum("np,pla->nla", inverse, mean)  # derivative of the wavefront with respect to each slope
-    slopes = generator.normal(size=(ROWS, COLUMNS, 2, 2))
+    px = generator.normal(size=(ROWS, COLUMNS, 2, 2))
     spread = generator.normal(size=(ROWS, COLUMNS, 4, 4))
     covariance = (spread @ np.swapaxes(spread, 2, 3)).reshape(ROWS, COLUMNS, 2, 2, 2, 2)
     view = np.array([0.7, -1.2])
-    solution = ZonalSolution(
-        slopes=slopes,
-        valid=np.ones((ROWS, COLUMNS), bool),
-        pitch_m=PITCH_M,
-        arrangement="square",
-        weights=weights,
-        slope_covariance=Deferred(lambda: covariance),
+    measured = replace(
+        converged(SampledModes(np.array([-1.0, 1.0]), np.zeros(1)), px, px), covariance_source=covariance
     )
+    solution = ZonalSolution(sensor, measured, weights)
 
-    at_view = np.einsum("q,rcqa->rca", view, slopes).reshape(-1, 2)
-    expected = np.einsum("nla,la->n", by_slope, at_view).reshape(ROWS, COLUMNS)
+    by_px = by_slope * sensor.slope_per_px
+    at_view = np.einsum("q,rcqa->rca", view, px).reshape(-1, 2)
+    expected = np.einsum("nla,la->n", by_px, at_view).reshape(ROWS, COLUMNS)
     np.testing.assert_allclose(solution.wavefront(view), expected, atol=1e-9)
     noise = np.einsum("q,lqarb,r->lab", view, covariance.reshape(-1, 2, 2, 2, 2), view)
-    variance = np.einsum("nla,lab,nlb->n", by_slope, noise, by_slope).reshape(ROWS, COLUMNS)
+    variance = np.einsum("nla,lab,nlb->n", by_px, noise, by_px).reshape(ROWS, COLUMNS)
     np.testing.assert_allclose(solution.sigma(view), np.sqrt(variance), rtol=1e-9)
