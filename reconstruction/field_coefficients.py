@@ -16,7 +16,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Sensor
 from reconstruction.modes.field_modes import FieldModes, SampledModes
 from reconstruction.modes.polynomials import number_up_to, zernike_projection
-from reconstruction.modes.pupil_modes import BASES, ROUNDING_SHARE, PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import ROUNDING_SHARE, PupilModes, pupil_modes
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
@@ -107,8 +107,6 @@ def fit_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None)
     highest degree, `order`, is by default that of the fit, which is exact. `ReconstructionError` if there is no such
     basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
-    if basis not in BASES:
-        raise ReconstructionError(f"the modes of the pupil are {' or '.join(BASES)}, not {basis}")
     highest = int(fit.modes.degree.max())
     order = highest if order is None else order
     if not 1 <= order <= highest:

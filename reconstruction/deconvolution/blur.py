@@ -18,7 +18,7 @@ from scipy import fft
 
 from reconstruction.arrays import Floats
 from reconstruction.modes.field_modes import SampledModes
-from reconstruction.runtime.threads import THREADS, worker_pool
+from reconstruction.runtime.threads import in_threads
 
 PsfAt = Callable[[float, float], Floats]
 """Point-spread function (2 reach + 1, 2 reach + 1) of the image position x, y, px; sum 1."""
@@ -127,7 +127,7 @@ class SpaceVariantBlur:
     def __call__(self, scene: Values) -> Values:
         """Image (row, column) of an object (row, column)."""
         light = np.zeros([length + 2 * self.reach_px for length in self.object_shape], self._dtype)
-        parts = worker_pool(THREADS).map(lambda tile: tile.blur(scene), self._tiles)
+        parts = in_threads(lambda tile: tile.blur(scene), self._tiles)
         for tile, part in zip(self._tiles, parts, strict=True):
             light[tile.lit] += part
         margin = 2 * self.reach_px
@@ -137,7 +137,7 @@ class SpaceVariantBlur:
         """Adjoint of the blur: an object (row, column) from an image (row, column)."""
         light = np.pad(image, 2 * self.reach_px)
         scene = np.empty(self.object_shape, self._dtype)
-        parts = worker_pool(THREADS).map(lambda tile: tile.adjoint(light), self._tiles)
+        parts = in_threads(lambda tile: tile.adjoint(light), self._tiles)
         for tile, part in zip(self._tiles, parts, strict=True):
             scene[tile.rows, tile.columns] = part
         return scene

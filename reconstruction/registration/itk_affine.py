@@ -8,9 +8,7 @@ SimpleITK is optional and registers one pair of images per call. Its calls relea
 the lenslets.
 """
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -23,10 +21,8 @@ from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton import SteepestDescent, coefficient_covariance, prepare_template
 from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
-from reconstruction.runtime.threads import THREADS
+from reconstruction.runtime.threads import THREADS, in_threads
 from reconstruction.settings import RegistrationSettings
-
-_THREADS = min(THREADS, os.cpu_count() or 1)
 
 # MATLAB's registration.optimizer.RegularStepGradientDescent of imregconfig("monomodal")
 _MAXIMUM_STEP = 0.0625
@@ -159,9 +155,8 @@ def map_lenslets(
     subimages: Image,
     shape: tuple[int, ...],
     *,
-    threads: int = _THREADS,
+    threads: int = THREADS,
 ) -> Floats:
     """Align each pair of windows (L, width, width): (L, *shape), NaN where `align` returns None."""
-    with ThreadPoolExecutor(threads, thread_name_prefix="simple-itk") as pool:
-        results = list(pool.map(align, references, subimages))
+    results = in_threads(lambda pair: align(*pair), zip(references, subimages, strict=True), threads)
     return np.stack([np.full(shape, np.nan) if each is None else each for each in results])

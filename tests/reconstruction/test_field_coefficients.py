@@ -194,7 +194,7 @@ def test_orders_that_the_data_do_not_hold_are_refused() -> None:
     fit = fitted(smooth_coefficients(3, "legendre"), LegendreModes(3))
     assert "order 11 of the pupil modes must be 1 ... 10" in refused(lambda: fit_coefficients(fit, "zernike", 11))
     unknown = refused(lambda: fit_coefficients(fit, "foo"))  # type: ignore[arg-type] # refused
-    assert f"{' or '.join(BASES)}, not foo" in unknown
+    assert f"no basis foo: it must be {' or '.join(BASES)}" in unknown
     assert "field order 2 exceeds that of the 3 field modes, 1" in refused(lambda: coefficients(3).double_zernikes(2))
     assert "measured at a single field position" in refused(lambda: coefficients(1).double_zernikes(1))
     assert coefficients(1).double_zernikes(0)[0].shape == (2, MODES + 1)

@@ -9,7 +9,7 @@ from support.optics import FIELD, converged, sensor_of
 
 from reconstruction.arrays import Floats
 from reconstruction.displacement import SYSTEMATIC_PX, diagonal_covariance
-from reconstruction.layers.layer_solver import LayerSolver, prior_scale
+from reconstruction.layers.layer_solver import FrameEquations, LayerSolver, prior_scale
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
@@ -73,4 +73,4 @@ def test_quality_is_the_gaussian_evidence(noise: float) -> None:
     layers = LayerSolver(SENSOR, FIELD, FIELD_MODES, solver, hidden=0)
     rows = np.concatenate([layers.rows(ratio, layers.degree) for ratio in (-0.4, -1.2)], axis=2)
     design = rows.reshape(data.size, -1) * np.tile(prior_scale(layers.degree), 2)
-    check(layers(displacement).fit(-0.4, -1.2).quality, design, data.ravel())
+    check(FrameEquations(layers, displacement).fit(-0.4, -1.2).quality, design, data.ravel())
