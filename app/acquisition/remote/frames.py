@@ -190,7 +190,9 @@ def _with_wavefront(
             coefficients=arrays["coefficients"],
             _known=known,
             # The root of the covariance as components that deviate by 1.
-            _deviations=Deferred(lambda: Deviations(Spread(root()[..., :0], known), root()[0, 0, :0], root())),
+            _deviations=Deferred(
+                lambda: Deviations(Spread(root(), known), np.ones(root().shape[2], np.float32), root()[..., :0])
+            ),
             noise=noise,
             freedom=freedom,
             _displacement=displacement,
