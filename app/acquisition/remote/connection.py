@@ -21,10 +21,9 @@ from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.commands import Commands
 from app.acquisition.instrument import Activity, Condition, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
-from app.acquisition.remote.messages import Accepted, Answer, Heartbeat, Hello, NewStatus, State
+from app.acquisition.remote.messages import Answer, Bye, Hello, NewStatus, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
 from app.acquisition.serialization import encoded, unpacked
-from app.acquisition.streams.messages import NewFrame
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
@@ -211,7 +210,7 @@ class Connection(Commands):
     def _say(self, *messages: object) -> None:
         for message in messages:
             with suppress(zmq.Again):  # the instrument stands still
-                self._socket.send_multipart([self.address.key.encode(), encoded(message).message()], zmq.NOBLOCK)
+                self._socket.send_multipart([self.address.key.encode(), encoded(message)], zmq.NOBLOCK)
             self._said_s = time.monotonic()
 
     def _work(self) -> None:
@@ -223,7 +222,7 @@ class Connection(Commands):
             while not self._closing.is_set() and self._ended is None:
                 ready = dict(poller.poll(_TICK_MS))
                 self._turn(ready)
-            self._say(*self.commands.take(), Heartbeat.BYE)
+            self._say(*self.commands.take(), Bye())
         except RunError as error:
             self._ended = error
         except Exception as error:
@@ -241,7 +240,11 @@ class Connection(Commands):
         """Say hello to the instrument at `address`; called by the thread."""
         self._socket.connect(self.address.endpoint)
         self._heard_s = time.monotonic()
+        self._say_hello()
+
+    def _say_hello(self) -> None:
         self._say(Hello(self.name, self._takes_control, self._pause_s))
+        self._takes_control = False  # once: a client that was silent for too long only watches
 
     def _turn(self, ready: dict[Any, int]) -> None:
         self._wakeup.clear()
@@ -264,8 +267,8 @@ class Connection(Commands):
                 f"the instrument of process {self.address.process} does not answer: stop it, and start it again"
             )
         if now_s > self._said_s + _ALIVE_S:
-            self._say(Heartbeat.ALIVE)
-        self.commands.give_up_lost()
+            self._say_hello()
+        self.commands.give_up_lost(self._heard_s)
 
     def _how_it_ended(self) -> str:
         return "has ended"
@@ -276,20 +279,15 @@ class Connection(Commands):
                 self.bench, self.status = message.bench, message.status
             case State():
                 self._take_state(message)
-            case NewFrame():
-                self.frames.announce(message)
-            case Accepted():
-                self.commands.note_accepted(message.number)
             case Answer():
                 self.frames.outdate(message.count)
                 self.commands.note_answer(message)
-            case Heartbeat():  # it has forgotten this client
-                self._say(Hello(self.name, False, self._pause_s))
 
     def _take_state(self, state: State) -> None:
         self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
         self._activity, self.clients, self.controller = state.activity, state.clients, state.controller
         self._is_gone = not state.is_alive
+        self.frames.ring_name, self.frames.count = state.ring_name, max(state.count, self.frames.count)
         if self._is_gone and self._ended is None:
             self._ended = state.ended_by or RunError("the instrument was shut down")
         self._has_state.set()

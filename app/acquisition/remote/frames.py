@@ -4,21 +4,21 @@ What the instrument has computed arrives with each frame. The rest is asked for 
 from the pixels if the instrument does not answer.
 """
 
+import math
 import struct
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-from app.acquisition.serialization import unpacked_frame
-from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, SHARED, NewFrame, OwnFacts
+from app.acquisition.serialization import unpacked
+from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, OwnFrame
 from app.acquisition.streams.ring import RingReader
 from app.errors import RunError
 from app.measurement.calibration import Calibration
@@ -33,12 +33,12 @@ from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Sp
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
-_WAIT_S = 0.1
+_POLL_S = 0.004  # between two looks for a new record: at 1000 frames per second half of the ring's slots are read then
 _ANSWER_S = 2.0  # for a detail; then it is computed here
-_REPLACED_S = 3.0  # for the notice of the next ring, after one could not be opened
+_REPLACED_S = 3.0  # for the name of the next ring, after one could not be opened
 
 Ask: TypeAlias = Callable[[str, int], Future[Any]]
-"""Asks the instrument for a shared object, or for a detail of a frame; see `Publisher.detail`."""
+"""Asks the instrument for a part of the record with a count; see `Publisher.detail`."""
 
 
 class RemoteFrames:
@@ -47,12 +47,12 @@ class RemoteFrames:
     def __init__(self, ask: Ask, sinks: tuple[Callable[[Measurement], None], ...], pause_s: float) -> None:
         """A pause follows each measurement."""
         self._ask, self._sinks, self._pause_s = ask, sinks, pause_s
+        self.ring_name = ""  # of the instrument's present ring, once known
+        self.count = 0  # of the newest known record
         self.newest: Measurement | None = None
         self.error: Exception | None = None  # that ended the thread
-        self._shared, self._asking = dict[int, Any](), threading.Lock()
-        self.overtaken = 0  # records that the instrument replaced before, or while, they were read here
-        self._missed, self._counting = bytearray(), threading.Lock()  # 1 for each of them, by its count
-        self._new_frame, self._has_news = NewFrame("", 0), threading.Condition()
+        self.overtaken = 0  # records that the instrument replaced before, or while, `every` read them
+        self._shared, self._asking = dict[str, tuple[int, Any]](), threading.Lock()
         self._outdated = 0  # count of a record
         self._closing, self._delivering = threading.Event(), threading.Lock()
         self._thread = threading.Thread(target=self._work, name="connection frames", daemon=True)
@@ -60,13 +60,8 @@ class RemoteFrames:
 
     def every(self) -> Iterator[Measurement]:
         """Yield each measurement from now on, in order and once, but those that `overtaken` counts."""
-        return self._each(_Follower(self._note_missed, self._new_frame.count, is_every_read=True))
-
-    def announce(self, new_frame: NewFrame) -> None:
-        """Note that there is a newer record."""
-        with self._has_news:
-            self._new_frame = new_frame
-            self._has_news.notify_all()
+        records = self._records(self.count, is_every_read=True)
+        return (measurement for _, frame, measurement in records if not frame.is_shown_only)
 
     def outdate(self, count: int) -> None:
         """Keep records up to a count from the sinks: they were measured before a command was executed."""
@@ -76,8 +71,6 @@ class RemoteFrames:
     def close(self) -> None:
         """End the thread, soon."""
         self._closing.set()
-        with self._has_news:
-            self._has_news.notify_all()
 
     def join(self, timeout_s: float | None = None) -> None:
         """Wait for the end of the thread."""
@@ -86,81 +79,80 @@ class RemoteFrames:
     def _work(self) -> None:
         try:
             # Another thread of BLAS would take processor time from the instrument by waiting busily.
-            with one_blas_thread(), closing(_Follower(self._note_missed)) as follower:
-                while not self._closing.is_set():
-                    new_frame, due_s = self._new_frame, time.monotonic() + self._pause_s
-                    if (found := self._next(follower, new_frame)) is None:
-                        self._wait_for_news(new_frame)
-                        continue
-                    facts, measurement = found
+            with one_blas_thread(), closing(self._records(0, is_every_read=False)) as records:
+                for count, frame, measurement in records:
+                    due_s = time.monotonic() + self._pause_s
                     with self._delivering:
-                        if not facts.is_shown_only and follower.count > self._outdated:
+                        if not frame.is_shown_only and count > self._outdated:
                             for sink in self._sinks:
                                 sink(measurement)
-                    self.newest = measurement
-                    self._closing.wait(due_s - time.monotonic())
+                    self.newest, self.count = measurement, max(count, self.count)
+                    if self._closing.wait(due_s - time.monotonic()):
+                        return
         except Exception as error:  # noqa: BLE001 - the connection ends with it
             self.error = error
 
-    def _each(self, follower: "_Follower") -> Iterator[Measurement]:
-        with closing(follower):
+    def _records(self, count: int, *, is_every_read: bool) -> Generator[tuple[int, OwnFrame, Measurement]]:
+        """Yield the newest record whenever there is another, or every one after a count; until the end."""
+        name, ring, missing_s = "", None, math.inf  # until another ring should be named
+        with ExitStack() as opened:
             while True:
-                new_frame, is_over = self._new_frame, self._closing.is_set()
-                if (found := self._next(follower, new_frame)) is not None:
-                    if not found[0].is_shown_only:
-                        yield found[1]
+                is_over, wanted = self._closing.is_set(), self.ring_name  # before the last look at the ring
+                if ring is not None and (newest := ring.count) > count:
+                    count = count + 1 if is_every_read else newest
+                    if (body := ring.read(count)) is None:
+                        self.overtaken += is_every_read
+                    elif (found := self._measurement(count, body)) is not None:
+                        yield count, *found
+                elif name != wanted and (another := _opened(wanted, is_late=time.monotonic() > missing_s)) is not None:
+                    opened.close()
+                    opened.callback(another.close)
+                    name, ring, missing_s = wanted, another, math.inf
                 elif is_over:
                     return
                 else:
-                    self._wait_for_news(new_frame)
+                    missing_s = math.inf if name == wanted else min(missing_s, time.monotonic() + _REPLACED_S)
+                    self._closing.wait(_POLL_S)
 
-    def _note_missed(self, count: int) -> None:
-        """Count a record that a reader has missed, unless another one has, too."""
-        with self._counting:
-            self._missed.extend(bytes(max(count + 1 - len(self._missed), 0)))
-            self.overtaken += not self._missed[count]
-            self._missed[count] = 1
-
-    def _wait_for_news(self, new_frame: NewFrame) -> None:
-        """Wait for another notice."""
-        with self._has_news:
-            self._has_news.wait_for(lambda: self._new_frame is not new_frame or self._closing.is_set(), _WAIT_S)
-
-    def _next(self, follower: "_Follower", new_frame: NewFrame) -> tuple[OwnFacts, Measurement] | None:
-        """The frame that a follower reads next; None if it is not there yet, or an object of it does not arrive."""
-        if not new_frame.ring or (found := follower.next(new_frame.ring)) is None:
-            return None
-        count, body = found
-        facts, arrays = unpacked_frame(body)
+    def _measurement(self, count: int, body: bytes) -> tuple[OwnFrame, Measurement] | None:
+        """The frame of a record; None if a shared part of it does not arrive, as the instrument has ended."""
+        frame: OwnFrame = unpacked(body)
         try:
-            calibration, *modes = (None if each is None else self._object(each) for each in facts[2:])
-        except (RunError, DeviceError, TimeoutError):  # the instrument stands still, or ends
+            shared = {name: self._part(name, since, count) for name, since in frame.shared.items()}
+        except (RunError, DeviceError):
             return None
-        follower.count = count
-        made = replace(facts.measurement, calibration=calibration)
-        if calibration is None or modes[0] is None:
-            return facts, made
-        return facts, _with_wavefront(made, calibration, modes, arrays, lambda name: self._ask(name, count))
+        made = replace(frame.lean, calibration=shared.get("calibration"))
+        if frame.arrays:
+            made = _with_wavefront(made, shared, frame.arrays, lambda name: self._ask(name, count))
+        return frame, made
 
-    def _object(self, number: int) -> Any:
-        """Return a shared object, which the first call asks for."""
+    def _part(self, name: str, since: int, count: int) -> Any:
+        """Return a shared part that is the same since a record; the first call asks for it."""
         with self._asking:
-            if number not in self._shared:
-                self._shared[number] = self._ask("object", number).result(_ANSWER_S)
-                if len(self._shared) > SHARED:
-                    del self._shared[min(self._shared)]
-            return self._shared[number]
+            if self._shared.get(name, (0,))[0] != since:
+                self._shared[name] = since, self._ask(name, count).result()
+            return self._shared[name][1]
+
+
+def _opened(name: str, *, is_late: bool) -> RingReader | None:
+    """Open a ring; None if that fails, as it is replaced already: `RunError` if another name should have come."""
+    try:
+        return RingReader(name)
+    except (OSError, ValueError, struct.error) as error:
+        if is_late:
+            raise RunError(
+                f"its memory cannot be opened from here ({error}): this program may run in another container; start it"
+                " where the instrument runs"
+            ) from error
+        return None
 
 
 def _with_wavefront(
-    made: Measurement,
-    calibration: Calibration,
-    modes: Iterable[Any],
-    arrays: dict[str, NDArray[Any]],
-    ask: Callable[[str], Future[Any]],
+    made: Measurement, shared: dict[str, Any], arrays: dict[str, Any], ask: Callable[[str], Future[Any]]
 ) -> Measurement:
     """Return a measurement with its displacements and wavefront, whose costly parts are asked for when needed."""
-    solved_here = Deferred(lambda: _solved_here(made, calibration))
+    calibration: Calibration = shared["calibration"]
+    solved_here = Deferred(lambda: replace(made, wavefront=_solved_here(made, calibration)))
 
     def detail(name: str) -> Deferred[Any]:
         def find() -> Any:
@@ -172,20 +164,17 @@ def _with_wavefront(
         return Deferred(find)
 
     sensor, bias = calibration.bench.sensor, made.assumed.refinement.bias
-    field_modes, pupil_modes, parameters = modes
-    of_lenslets: dict[str, Any] = {name: arrays[name] for name in OF_LENSLETS}
     registered = Displacement(
-        field_modes,
+        shared["field_modes"],
         arrays["displacement"],
         detail("covariance"),
-        **of_lenslets,
+        **{name: arrays[name] for name in OF_LENSLETS},
         transmission_source=detail("transmission"),
     )
     displacement = registered if bias is None else registered.minus(bias)
     solution: Solution
-    if pupil_modes is not None:
+    if (pupil_modes := shared.get("pupil_modes")) is not None:
         known, root = _known(pupil_modes, arrays["known"].tobytes()), detail("root_covariance")
-        freedom, noise = arrays["freedom_and_noise"].tolist()
         solution = ModalSolution(
             coefficients=arrays["coefficients"],
             _known=known,
@@ -193,14 +182,14 @@ def _with_wavefront(
             _deviations=Deferred(
                 lambda: Deviations(Spread(root(), known), np.ones(root().shape[2], np.float32), root()[..., :0])
             ),
-            noise=noise,
-            freedom=freedom,
+            noise=arrays["noise"],
+            freedom=arrays["freedom"],
             _displacement=displacement,
-            parameters=parameters,
+            parameters=shared["parameters"],
             fitted=detail("fitted"),
         )
     else:
-        solution = ZonalSolution(sensor, displacement, arrays.get("weights"))
+        solution = ZonalSolution(sensor, displacement, arrays["weights"])
     sample, field, views = made.assumed.sample or FREE, calibration.bench.field, arrays["wavefront"]
     wavefront = Wavefront(sensor, field, displacement, solution, views, sample, detail("sigma"))
     return replace(made, registered=registered, wavefront=wavefront)
@@ -217,50 +206,3 @@ def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:
     with one_blas_thread():
         reconstructor = calibration.reconstructor()
         return reconstructor.solve(reconstructor.register(made.frame.pixels), bias=bias, sample=sample)
-
-
-class _Follower:
-    """One reader of an instrument's ring, and of the larger ones that may replace it."""
-
-    def __init__(self, note_missed: Callable[[int], None], count: int = 0, *, is_every_read: bool = False) -> None:
-        """Read the newest record after a count, or each one; `note_missed` is called with the count of one missed."""
-        self.count, self._note_missed, self._is_every_read = count, note_missed, is_every_read  # of the last read
-        self._ring: tuple[str, RingReader] | None = None
-        self._missing = "", 0.0  # the name of a ring that cannot be opened, and since when
-
-    def next(self, ring_name: str) -> tuple[int, bytes] | None:
-        """Return the count and a copy of the next record in the ring of a name; None if there is none yet."""
-        while (ring := self._at(ring_name)) is not None and (newest := ring.count) > self.count:
-            count = self.count + 1 if self._is_every_read else newest
-            if (body := ring.read(count)) is not None:
-                return count, body
-            self._note_missed(count)
-            self.count = count
-        return None
-
-    def close(self) -> None:
-        """Give the ring back."""
-        if self._ring is not None:
-            self._ring[1].close()
-
-    def _at(self, ring_name: str) -> RingReader | None:
-        """The ring of a name, or the one before it until all is read there; None if it is replaced already."""
-        if self._ring is not None and (
-            self._ring[0] == ring_name or (self._is_every_read and self._ring[1].count > self.count)
-        ):
-            return self._ring[1]
-        try:
-            opened = RingReader(ring_name)
-        except (OSError, ValueError, struct.error) as error:
-            now_s = time.monotonic()
-            if self._missing[0] != ring_name:  # another notice should be coming
-                self._missing = ring_name, now_s
-            if now_s > self._missing[1] + _REPLACED_S:
-                raise RunError(
-                    f"its memory cannot be opened from here ({error}): this program may run in another"
-                    " container; start it where the instrument runs"
-                ) from error
-            return None
-        self.close()
-        self._ring = ring_name, opened
-        return opened

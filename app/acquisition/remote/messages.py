@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
 from typing import Any
 
 from app.acquisition.instrument import Activity, Status
@@ -30,7 +29,7 @@ def watching(controller: str) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """A client enters, takes control if it may and nobody has it, and reads every `pause_s`."""
+    """A client lives, and reads every `pause_s`; one that enters may take control if nobody has it."""
 
     name: str
     takes_control: bool
@@ -48,12 +47,9 @@ class Command:
     until_s: float = math.inf  # the latest begin, of `time.monotonic()`: soon after, its client gives it up
 
 
-class Heartbeat(Enum):
-    """A message that is one word."""
-
-    ALIVE = "a client lives and reads"
-    BYE = "a client leaves"
-    FORGOTTEN = "a client was silent for too long: it may say hello again"
+@dataclass(frozen=True, slots=True)
+class Bye:
+    """A client leaves."""
 
 
 def portable_error(error: BaseException) -> Exception:
@@ -85,13 +81,8 @@ class State:
     is_alive: bool
     clients: tuple[str, ...]
     controller: str  # name of the client that has control; empty: nobody
-
-
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """A command has arrived and will be executed."""
-
-    number: int
+    ring_name: str  # of the newest ring of frames
+    count: int  # of the measurements so far
 
 
 @dataclass(frozen=True, slots=True)

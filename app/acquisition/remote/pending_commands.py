@@ -12,15 +12,15 @@ from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
-from app.acquisition.serialization import encoded
+from app.acquisition.serialization import Message
 from app.errors import RunError
 from drivers.errors import BadValue
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
-ANSWER_S = 5.0  # for a command to be accepted, and for the first state
-_ON_ITS_WAY_S = 1.0  # for the news that it was accepted
+ANSWER_S = 5.0  # for a sign of life after a command, and for the first state
+_PULSE_S = 1.0  # in which a sign of life comes from an instrument that lives
 
 
 class PendingCommands:
@@ -32,7 +32,7 @@ class PendingCommands:
         self._refusal: Exception | None = None  # of all commands, once closed
         self._numbers, self._lock = itertools.count(1), threading.Lock()
         self._waiting: list[Command] = []
-        self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time until which it must be accepted
+        self._unanswered: dict[int, tuple[Future[Any], float]] = {}  # with the time when it was sent
 
     def submit(
         self, command: Callable[Concatenate[Instrument, P], T], /, *arguments: P.args, **named: P.kwargs
@@ -47,7 +47,7 @@ class PendingCommands:
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
         try:
-            nbytes = encoded(command).nbytes
+            nbytes = Message(command).nbytes
         except RunError as refusal:
             future.set_exception(refusal)
             return future
@@ -69,17 +69,8 @@ class PendingCommands:
         with self._lock:
             taken, self._waiting = self._waiting, []
             for command in taken:
-                self._expect(command.number, now_s + ANSWER_S)
-        until_s = now_s + ANSWER_S - _ON_ITS_WAY_S
-        return [replace(command, until_s=until_s) for command in taken]
-
-    def note_accepted(self, number: int) -> None:
-        """Note that a command has arrived, and may take its time."""
-        self._expect(number, math.inf)
-
-    def _expect(self, number: int, until_s: float) -> None:
-        if number in self._unanswered:
-            self._unanswered[number] = self._unanswered[number][0], until_s
+                self._unanswered[command.number] = self._unanswered[command.number][0], now_s
+        return [replace(command, until_s=now_s + ANSWER_S - _PULSE_S) for command in taken]
 
     def note_answer(self, answer: Answer) -> None:
         """Resolve the future of a command."""
@@ -89,10 +80,10 @@ class PendingCommands:
         elif future is not None:
             future.set_exception(answer.error)
 
-    def give_up_lost(self) -> None:
-        """Fail the commands that have not been accepted in time."""
-        for number, (future, until_s) in list(self._unanswered.items()):
-            if time.monotonic() > until_s:
+    def give_up_lost(self, heard_s: float) -> None:
+        """Fail the commands after which the instrument, heard last at a time, has given no sign of life."""
+        for number, (future, sent_s) in list(self._unanswered.items()):
+            if time.monotonic() > sent_s + ANSWER_S and heard_s < sent_s + _PULSE_S:
                 del self._unanswered[number]
                 future.set_exception(RunError("the instrument does not answer"))
 

@@ -21,10 +21,9 @@ from app.acquisition.command_queue import done
 from app.acquisition.instrument import Status
 from app.acquisition.remote.messages import (
     MOST_BYTES,
-    Accepted,
     Answer,
+    Bye,
     Command,
-    Heartbeat,
     Hello,
     NewStatus,
     State,
@@ -33,7 +32,6 @@ from app.acquisition.remote.messages import (
 )
 from app.acquisition.remote.requests import begin_request
 from app.acquisition.serialization import encoded, unpacked
-from app.acquisition.streams.messages import NewFrame
 from app.acquisition.streams.publisher import Publisher
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
@@ -43,9 +41,7 @@ from drivers.errors import WrongState
 from drivers.interface import Devices
 
 _STATE_S = 0.2  # between two states that differ; the longest wait for news
-_PULSE_S = 0.5  # between two that do not
-_LOG_S = 1.0  # between two looks at the size of the log
-_BEHIND_S = 1.5  # after which a client counts as not reading: only answers are sent to it
+_PULSE_S = 0.5  # between two that do not, and two looks at the size of the log
 _SILENT_S = 5.0  # after which a client counts as gone
 _STOPPED_S = 0.6  # between two turns, after which this process counts as stopped in between
 _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
@@ -60,7 +56,6 @@ class _Client:
     name: str
     pause_s: float
     heard_s: float
-    is_behind: bool = False  # news were left out for it
 
 
 class Server:
@@ -74,21 +69,20 @@ class Server:
     ) -> None:
         """Open the socket of the address; `RunError` if that fails."""
         self._wakeup = WakeupPipe()
-        self._frames = Publisher(bench, file_of(address.name, "ring"), self._wakeup.notify)
+        self._frames = Publisher(bench, file_of(address.name, "ring"), self._hurry)
         self.acquisition = Acquisition(bench, open_devices, publisher=self._frames)
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
         self._done: deque[tuple[bytes, Command, Future[Any]]] = deque()
         self._state: State | None = None
         self._status: Status | None = None  # as sent
-        self._sent_s = self._state_due_s = self._log_due_s = -math.inf
+        self._sent_s = self._state_due_s = -math.inf
         self._heard_s = math.inf  # when messages were heard last
-        self._announced_frame = self._frames.newest
         self._is_over = False
         self._fault: Exception | None = None  # of this end
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.SNDHWM, 0)  # no answer is dropped; news are bounded by `_BEHIND_S`
+        self._socket.setsockopt(zmq.SNDHWM, 0)  # no answer is dropped; news end with a silent client
         self._socket.setsockopt(zmq.MAXMSGSIZE, MOST_BYTES)  # nobody fills the memory
         self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
         try:
@@ -147,14 +141,8 @@ class Server:
             raise self._frames.error
         while self._done:
             self._answer(*self._done.popleft())
-        if (new_frame := self._frames.newest) != self._announced_frame:
-            self._announced_frame = new_frame
-            self._tell_all(new_frame)
         if now_s > self._state_due_s:
             self._tell_state()
-        if now_s > self._log_due_s:
-            self._log_due_s = now_s + _LOG_S
-            bound_log(self.address.name)
 
     def _arrived(self) -> Iterator[tuple[bytes, Any]]:
         """Yield the messages that have arrived, with their senders."""
@@ -169,25 +157,19 @@ class Server:
             yield identity, message
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
-        if isinstance(message, Hello):
+        client = self._clients.get(identity)
+        if client is not None:
+            client.heard_s = now_s
+        if isinstance(message, Command):
+            self._execute(identity, message)
+        elif isinstance(message, Hello) and client is None:
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
             self._ask_for_frames()
             if message.takes_control and not self._controller:
                 self._controller = identity
-            self._tell_news(identity)
-        elif isinstance(message, Command) and message.request == "switch_light_off":
-            self._execute(identity, message)  # also of a client that was forgotten
-        elif identity not in self._clients:  # forgotten, maybe while it was stopped
-            self._tell(identity, Heartbeat.FORGOTTEN)
-        elif isinstance(message, Command):
-            self._execute(identity, message)
-        elif message is Heartbeat.BYE:
+            self._tell(identity, self._new_status(), self._present())
+        elif isinstance(message, Bye) and client is not None:
             self._forget(identity)
-        if (client := self._clients.get(identity)) is not None:
-            client.heard_s = now_s
-            if client.is_behind:
-                client.is_behind = False
-                self._tell_news(identity)
 
     def _forget(self, identity: bytes) -> None:
         del self._clients[identity]
@@ -200,7 +182,6 @@ class Server:
 
     def _execute(self, identity: bytes, command: Command) -> None:
         """Begin a command; its future is answered when it is done."""
-        self._tell(identity, Accepted(command.number))
         try:
             future = self._begin(identity, command)
         except Exception as error:  # noqa: BLE001 - the client is told
@@ -217,6 +198,8 @@ class Server:
         name = command.request
         if time.monotonic() > command.until_s and name not in _NEVER_TOO_LATE:
             raise WrongState("this command came too late and was not executed: send it again")
+        if identity not in self._clients and name != "switch_light_off":
+            raise WrongState("the instrument did not hear from this program for too long: send the command again")
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
             raise WrongState(watching("" if holder is None else holder.name))
@@ -236,9 +219,6 @@ class Server:
         if command.request != "detail":
             count = self._frames.count
             self._tell_state()
-            client = self._clients.get(identity)
-            if client is None or client.is_behind:  # it gets no news
-                self._tell(identity, self._new_status(), self._present())
         try:
             self._tell(identity, Answer(command.number, result, error, count))
         except RunError as unsendable:
@@ -257,6 +237,8 @@ class Server:
             is_alive=not is_over,
             clients=tuple(client.name for client in self._clients.values()),
             controller="" if controller is None else controller.name,
+            ring_name=self._frames.ring_name,
+            count=self._frames.count,
         )
 
     def _tell_state(self, *, is_over: bool = False) -> None:
@@ -264,8 +246,9 @@ class Server:
 
         The status is read after the activity and sent before it: as soon as a routine ends, it is that after it.
         """
-        state, now_s = self._present(is_over=is_over), time.monotonic()
+        now_s = time.monotonic()
         self._state_due_s = now_s + _STATE_S
+        state = self._present(is_over=is_over)
         if self.acquisition.status is not self._status:
             new_status = self._new_status()
             self._status = new_status.status
@@ -273,21 +256,21 @@ class Server:
         if state != self._state or now_s > self._sent_s + _PULSE_S:
             self._state, self._sent_s = state, now_s
             self._tell_all(state)
+            bound_log(self.address.name)
+
+    def _hurry(self) -> None:
+        """Let clients know of another ring at once."""
+        self._state_due_s = -math.inf
+        self._wakeup.notify()
 
     def _new_status(self) -> NewStatus:
         return NewStatus(self.acquisition.bench, self.acquisition.status)
 
-    def _tell_all(self, message: State | NewStatus | NewFrame) -> None:
-        told, now_s = encoded(message).message(), time.monotonic()
-        for identity, client in self._clients.items():
-            client.is_behind |= now_s > client.heard_s + _BEHIND_S
-            if not client.is_behind:
-                self._socket.send_multipart([identity, told])
-
-    def _tell_news(self, identity: bytes) -> None:
-        """Tell of the newest frame before the state, for which a new client waits: then it knows both."""
-        self._tell(identity, self._frames.newest, self._new_status(), self._present())
+    def _tell_all(self, message: State | NewStatus) -> None:
+        told = encoded(message)
+        for identity in self._clients:
+            self._socket.send_multipart([identity, told])
 
     def _tell(self, identity: bytes, *messages: object) -> None:
         for message in messages:
-            self._socket.send_multipart([identity, encoded(message).message()])
+            self._socket.send_multipart([identity, encoded(message)])

@@ -1,24 +1,27 @@
-"""Messages about frames: one JSON header, and arrays; for the clients of an instrument and for other programs.
+"""Messages about frames, for the clients of an instrument and for other programs.
 
-The instrument's own clients get all that is cheap to know of a frame, and ask for the rest (`DETAILS`).
+The instrument's own clients get all that is cheap to know of a frame, and ask for the rest (`SHARED`, `DETAILS`).
 """
 
 import json
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from app.acquisition.serialization import Labelled, Message
+from app.acquisition.serialization import little_endian
 from app.bench.config import Bench
-from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
+
+Labelled: TypeAlias = tuple[str, tuple[str, ...], str, NDArray[Any]]
+"""Name, dimensions and units, as in NetCDF results, and values of an array."""
 
 FORMAT = 1  # increased when subscribers must change
 
@@ -26,83 +29,48 @@ _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 _MODES = ("pupil_mode", "field_mode")
 _VECTORS = (*_LENSLET, "field_mode", "xy")
-SHARED = 16  # objects kept for clients; four belong to a calibration
-
-
-@dataclass(frozen=True, slots=True)
-class NewFrame:
-    """The count of the newest record, in the ring of a name."""
-
-    ring: str
-    count: int
-
-
-class SharedObjects:
-    """Numbers the large objects that many frames share: a client asks for each once."""
-
-    def __init__(self) -> None:
-        self._objects, self._last = dict[int, Any](), 0
-
-    def number(self, shared: object) -> int | None:
-        """Return the number of an object; None for None."""
-        known = next((number for number, each in self._objects.items() if each is shared), None)
-        if shared is None or known is not None:
-            return known
-        self._last += 1
-        self._objects[self._last] = shared
-        self._objects.pop(self._last - SHARED, None)
-        return self._last
-
-    def get(self, number: int) -> Any:
-        """Return the object of a number; `RunError` if it is too old."""
-        if number not in self._objects:
-            raise RunError(f"object {number} is no longer known")
-        return self._objects[number]
-
-
-class OwnFacts(NamedTuple):
-    """What a client of the instrument needs of a frame besides the arrays."""
-
-    measurement: Measurement  # without what is in arrays and shared objects
-    is_shown_only: bool  # a routine's frame
-    calibration: int | None  # number of the shared object, as the rest
-    field_modes: int | None = None  # None without a wavefront
-    pupil_modes: int | None = None  # None of a zonal wavefront
-    parameters: int | None = None  # of the lenslets' warps, (K, 2Q)
-
-
 OF_LENSLETS = ("outcome", "residual_rms", "chi_square", "range_used")
-DETAILS: dict[str, Callable[[Any], Any]] = {
-    "sigma": lambda wavefront: wavefront.sigma(),
-    "covariance": lambda wavefront: wavefront.displacement.covariance,
-    "transmission": lambda wavefront: wavefront.displacement.transmission,
-    "root_covariance": lambda wavefront: wavefront.solution.root_covariance,
-    "fitted": lambda wavefront: wavefront.solution.fitted(),
+OF_MODAL_SOLUTION = ("coefficients", "known", "freedom", "noise")
+SHARED: dict[str, Callable[[Any], Any]] = {
+    "calibration": lambda made: made.calibration,
+    "field_modes": lambda made: made.registered and made.registered.modes,
+    "pupil_modes": lambda made: getattr(made.wavefront and made.wavefront.solution, "modes", None),
+    "parameters": lambda made: getattr(made.wavefront and made.wavefront.solution, "parameters", None),
 }
-"""What a client asks for if it needs it: to compute or to send it costs milliseconds."""
+"""Large parts of a measurement that many have in common: a client asks for each of them once."""
+
+DETAILS: dict[str, Callable[[Any], Any]] = {
+    "sigma": lambda made: made.wavefront.sigma(),
+    "covariance": lambda made: made.wavefront.displacement.covariance,
+    "transmission": lambda made: made.wavefront.displacement.transmission,
+    "root_covariance": lambda made: made.wavefront.solution.root_covariance,
+    "fitted": lambda made: made.wavefront.solution.fitted(),
+}
+"""Parts that a client asks for if it needs them: to compute or to send them costs milliseconds."""
 
 
-def own_message(measurement: Measurement, shared: SharedObjects, *, is_shown_only: bool) -> Message:
-    """Return the message for clients of the instrument: arrays of all topics, and the pixels."""
+class OwnFrame(NamedTuple):
+    """A measurement for the instrument's clients, which ask for its other parts."""
+
+    lean: Measurement  # without wavefront, displacements and calibration
+    is_shown_only: bool  # a routine's frame
+    shared: dict[str, int]  # of each shared part that it has, the count of the first record with the same
+    arrays: dict[str, Any]  # of displacements and wavefront, if it has them
+
+
+def own_frame(measurement: Measurement, shared: dict[str, int], *, is_shown_only: bool) -> OwnFrame:
+    """Return what clients of the instrument get of a measurement at once."""
     lean = replace(measurement, wavefront=None, registered=None, calibration=None)
-    facts = OwnFacts(lean, is_shown_only, shared.number(measurement.calibration))
-    wavefront, registered, labelled = measurement.wavefront, measurement.registered, list[Labelled]()
+    wavefront, registered, arrays = measurement.wavefront, measurement.registered, dict[str, Any]()
     if wavefront is not None and registered is not None:
-        solution, facts = wavefront.solution, facts._replace(field_modes=shared.number(registered.modes))
-        labelled = [
-            ("wavefront", (*_VIEW, *_LENSLET), "rad", wavefront.views),
-            ("displacement", _VECTORS, "px", registered.coefficients),
-            *((name, _LENSLET, "1", getattr(registered, name)) for name in OF_LENSLETS),
-        ]
+        solution = wavefront.solution
+        arrays = {name: getattr(registered, name) for name in OF_LENSLETS}
+        arrays |= {"wavefront": wavefront.views, "displacement": registered.coefficients}
         if isinstance(solution, ModalSolution):
-            pupil_modes, parameters = map(shared.number, (solution.modes, solution.parameters))
-            facts = facts._replace(pupil_modes=pupil_modes, parameters=parameters)
-            labelled.append(("coefficients", _MODES, "rad", solution.coefficients))
-            labelled.append(("known", _LENSLET, "1", solution.known))
-            labelled.append(("freedom_and_noise", ("of_fit",), "1", np.array([solution.freedom, solution.noise])))
-        elif solution.weights is not None:
-            labelled.append(("weights", _LENSLET, "1", solution.weights))
-    return Message({"format": FORMAT, "value": facts}, labelled)
+            arrays |= {name: getattr(solution, name) for name in OF_MODAL_SOLUTION}
+        else:
+            arrays["weights"] = solution.weights
+    return OwnFrame(lean, is_shown_only, shared, arrays)
 
 
 def topic_message(topic: str, sequence: int, measurement: Measurement, bench: Bench, facts: str) -> list[bytes]:
@@ -114,8 +82,14 @@ def topic_message(topic: str, sequence: int, measurement: Measurement, bench: Be
     labelled = [] if measurement.wavefront is None else TOPICS[topic](measurement.wavefront)
     if measurement.wavefront is not None and not labelled:
         return []
-    header = {"format": FORMAT, "sequence": sequence, **_frame_facts(measurement, bench)}
-    return [topic.encode(), *Message(header, labelled, facts).parts]
+    arrays = [little_endian(values) for _, _, _, values in labelled]
+    layout = [
+        {"name": name, "dimensions": dimensions, "units": units, "dtype": each.dtype.str, "shape": each.shape}
+        for (name, dimensions, units, _), each in zip(labelled, arrays, strict=True)
+    ]
+    header = {"format": FORMAT, "sequence": sequence, **_frame_facts(measurement, bench), "arrays": layout}
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False)
+    return [topic.encode(), f"{text[:-1]},{facts[1:]}".encode(), *(each.tobytes() for each in arrays)]
 
 
 def _frame_facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:

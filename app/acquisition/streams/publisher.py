@@ -12,34 +12,24 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import zmq
 
-from app.acquisition.streams.messages import (
-    DETAILS,
-    TOPICS,
-    NewFrame,
-    SharedObjects,
-    calibration_facts,
-    own_message,
-    topic_message,
-)
+from app.acquisition.serialization import Message
+from app.acquisition.streams.messages import DETAILS, SHARED, TOPICS, calibration_facts, own_frame, topic_message
 from app.acquisition.streams.ring import RingWriter
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from reconstruction.runtime.deferred import Deferred
-from reconstruction.solve.modal import ModalSolution
-from reconstruction.wavefront import Wavefront
 
 _WAITING = 8  # measurements that wait for the thread; beyond, the oldest is dropped
-_DETAILED_S = 3.0  # in which clients may ask for details of a record
-_COMPLETE = 16  # newest records that keep all, some hundred kilobytes each; older ones lose the transmission
+_KEPT, _KEPT_AT_LEAST = 150, 16  # newest records of which clients may ask for more: 3 s of those for a window
+_KEPT_BYTES = 1 << 26  # of pixels, that may make it fewer
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
 _BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
@@ -63,7 +53,7 @@ class Publisher:
     def __init__(
         self, bench: Bench, ring_file: Path | None = None, notify: Callable[[], object] = lambda: None
     ) -> None:
-        """Write a ring if a `ring_file` names it where memory needs a name; `notify` follows each record."""
+        """Write a ring if a `ring_file` names it where memory needs a name; `notify` follows each new one."""
         self._bench, self._ring_file, self._notify = bench, ring_file, notify
         self._pause_s = math.inf  # of the client that reads most often
         self._sequence = 0
@@ -71,12 +61,12 @@ class Publisher:
         self._waiting, self._unwritten = deque[_Taken](maxlen=_WAITING), list[_Taken]()
         self._asked = deque[tuple[Future[Any], str, int]]()
         self._written_s = -math.inf
-        self._rings = deque[RingWriter](maxlen=2)  # the newest last; a reader may be about to open the one before
-        self._shared, self._detailed = SharedObjects(), dict[int, tuple[float, Wavefront | None]]()
+        self._ring: RingWriter | None = None
+        self.ring_name = ""
+        self._kept, self._shared = dict[int, Measurement](), dict[str, tuple[Any, int]]()
         self._facts: tuple[Calibration | None, str] | None = None
         self._subscriptions = set[bytes]()
         self._wakeup, self._closing = WakeupPipe(), threading.Event()
-        self.newest = NewFrame("", 0)
         self.error: Exception | None = None  # that ended the thread
 
     def take(self, measurement: Measurement, *, is_shown_only: bool = False) -> None:
@@ -97,7 +87,7 @@ class Publisher:
         self._wakeup.notify()
 
     def detail(self, name: str, number: int) -> Future[Any]:
-        """Return a shared object, or a detail of the frame with that count; `RunError` if it is too old."""
+        """Return a part of the record with a count, see `SHARED` and `DETAILS`; `RunError` if it is too old."""
         future: Future[Any] = Future()
         if self._closing.is_set():
             raise RunError("the acquisition has ended")
@@ -109,7 +99,7 @@ class Publisher:
     def running(self) -> Iterator[None]:
         """Open the port of `bench.streams`, if there is one, and publish; `RunError` if that fails."""
         with ExitStack() as at_end:
-            for end in (self._wakeup.close, self._close_rings):  # readers that have a ring open keep what they have
+            for end in (self._wakeup.close, self._close_ring):
                 at_end.callback(end)
             socket = None if self._bench.streams.port is None else _open_port(at_end, self._bench)
             thread = threading.Thread(target=self._work, args=(socket,), name="publisher", daemon=True)
@@ -120,9 +110,9 @@ class Publisher:
             at_end.callback(self._closing.set)
             yield
 
-    def _close_rings(self) -> None:
-        for ring in self._rings:
-            ring.close()
+    def _close_ring(self) -> None:
+        if self._ring is not None:
+            self._ring.close()  # readers that have it open keep what they have
 
     def _work(self, socket: "zmq.Socket[bytes] | None") -> None:
         poller, is_last = zmq.Poller(), False
@@ -174,39 +164,39 @@ class Publisher:
         taken = self._unwritten.pop()
         count, measurement, is_shown_only = taken.count, taken.measurement, taken.is_shown_only
         try:
-            message = own_message(measurement, self._shared, is_shown_only=is_shown_only)
+            message = Message(own_frame(measurement, self._keep(count, measurement), is_shown_only=is_shown_only))
         except RunError as error:
             lean = Measurement(measurement.frame, None, f"this frame cannot be shown: {error}", measurement.counts)
-            message = own_message(lean, self._shared, is_shown_only=is_shown_only)
-        if not self._rings or not self._rings[-1].has_room_for(message):
-            if len(self._rings) == self._rings.maxlen:
-                self._rings.popleft().close()
-            self._rings.append(RingWriter(int(_SPARE * message.nbytes), self._ring_file, count=count - 1))
-        self._keep(count, measurement.wavefront)
-        self._rings[-1].write(message, count)
+            message = Message(own_frame(lean, {}, is_shown_only=is_shown_only))
+        if self._ring is None or not self._ring.has_room_for(message):
+            self._close_ring()
+            self._ring = RingWriter(int(_SPARE * message.nbytes), self._ring_file)
+        self._ring.write(message, count)
         self._written_s = time.monotonic()
-        self.newest = NewFrame(self._rings[-1].name, count)
-        self._notify()
+        if self.ring_name != self._ring.name:
+            self.ring_name = self._ring.name
+            self._notify()
 
-    def _keep(self, count: int, wavefront: Wavefront | None) -> None:
-        """Keep a wavefront for the details that clients may ask for."""
-        now_s = time.monotonic()
-        self._detailed[count] = now_s, wavefront
-        while now_s > self._detailed[oldest := next(iter(self._detailed))][0] + _DETAILED_S:
-            del self._detailed[oldest]
-        if len(self._detailed) > _COMPLETE:
-            old = list(self._detailed)[-_COMPLETE - 1]
-            written_s, complete = self._detailed[old]
-            self._detailed[old] = written_s, None if complete is None else _lean(complete)
+    def _keep(self, count: int, measurement: Measurement) -> dict[str, int]:
+        """Keep what clients may ask for; return since which record the shared parts are the same."""
+        self._kept[count] = measurement
+        most = min(max(_KEPT_BYTES // measurement.frame.pixels.nbytes, _KEPT_AT_LEAST), _KEPT)
+        for old in list(self._kept)[:-most]:
+            del self._kept[old]
+        since = dict[str, int]()
+        for name, find in SHARED.items():
+            if (part := find(measurement)) is not None:
+                known, since[name] = self._shared.get(name, (None, count))
+                if known is not part:
+                    since[name] = count
+                self._shared[name] = part, since[name]
+        return since
 
-    def _answer(self, future: Future[Any], name: str, number: int) -> None:
+    def _answer(self, future: Future[Any], name: str, count: int) -> None:
         try:
-            if name == "object":
-                future.set_result(self._shared.get(number))
-            elif name in DETAILS and (wavefront := self._detailed.get(number, (0.0, None))[1]) is not None:
-                future.set_result(DETAILS[name](wavefront))
-            else:
-                future.set_exception(RunError(f"there is no {name} of frame {number}"))
+            if (measurement := self._kept.get(count)) is None:
+                raise RunError(f"there is no {name} of frame {count}")  # noqa: TRY301 - the answer
+            future.set_result((SHARED | DETAILS)[name](measurement))
         except Exception as error:  # noqa: BLE001 - of this answer alone
             future.set_exception(error)
 
@@ -233,19 +223,6 @@ class Publisher:
                 self._subscriptions.add(change[1:])
             elif change[:1] == b"\x00":
                 self._subscriptions.discard(change[1:])
-
-
-def _lean(wavefront: Wavefront) -> Wavefront | None:
-    """Return a wavefront without what its transmission is computed from; None if that is not possible."""
-    if not isinstance(wavefront.solution, ModalSolution):
-        return None
-    displacement = replace(wavefront.displacement, transmission_source=Deferred(_refuse))
-    solution = replace(wavefront.solution, _displacement=displacement)
-    return replace(wavefront, displacement=displacement, solution=solution)
-
-
-def _refuse() -> None:
-    raise RunError("this transmission is no longer known")
 
 
 def _open_port(at_end: ExitStack, bench: Bench) -> "zmq.Socket[bytes]":

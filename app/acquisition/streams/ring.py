@@ -28,8 +28,8 @@ _COUNT_AT = 32  # of the newest record, in the header
 class RingWriter:
     """Owns a ring; `name` is what readers find it by."""
 
-    def __init__(self, slot_bytes: int, file: Path, *, slots: int = 8, count: int = 0) -> None:
-        """Make slots for records of a size; `count` goes on from an earlier ring."""
+    def __init__(self, slot_bytes: int, file: Path, *, slots: int = 8) -> None:
+        """Make slots for records of a size."""
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
         self._written = 0
         self._file: Path | None = None
@@ -47,20 +47,13 @@ class RingWriter:
         self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride, serial.encode())
         self._view = memoryview(self._memory)
         self._count = np.ndarray((), np.uint64, self._view, _COUNT_AT)
-        self._count[...] = count
-
-    @property
-    def count(self) -> int:
-        """Count of the newest record."""
-        return int(self._count)
 
     def has_room_for(self, message: Message) -> bool:
         """True if a record fits into a slot."""
         return message.nbytes <= self._stride - _SLOT_HEADER_BYTES
 
-    def write(self, message: Message, count: int | None = None) -> int:
-        """Write a record over the oldest one; return its count, by default the next one."""
-        count = self.count + 1 if count is None else count
+    def write(self, message: Message, count: int) -> None:
+        """Write a record over the oldest one."""
         start = _HEADER_BYTES + self._written % self._slots * self._stride
         self._written += 1
         state = np.ndarray((2,), np.uint64, self._view, start)
@@ -69,7 +62,6 @@ class RingWriter:
         state[1] = message.nbytes
         state[0] = 2 * count
         self._count[...] = count
-        return count
 
     def close(self) -> None:
         """Give the memory back; readers that have it open keep what they have."""

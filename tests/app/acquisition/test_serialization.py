@@ -40,7 +40,7 @@ VALUES = some.recursive(
 
 
 def there_and_back(value: object) -> Any:
-    return unpacked(encoded(value).message())
+    return unpacked(encoded(value))
 
 
 def assert_same(found: Any, sent: Any) -> None:
@@ -90,26 +90,26 @@ def test_other_things_cannot_be_sent(value: object) -> None:
 @pytest.mark.parametrize(
     "plain",
     [
-        {"of": ["os:system", ["true"]]},
-        {"of": ["subprocess:Popen", {"args": ["true"]}]},
-        {"of": ["http:HTTPStatus", 200]},
-        {"of": ["urllib.parse:DefragResult", ["a", "b"]]},
-        {"of": ["app.acquisition.worker:Acquisition", {"bench": None}]},
-        {"of": ["app.files:Path", ["x"]]},
-        {"of": ["app.acquisition.remote.messages:Notice", {"ring": "x"}]},
-        {"of": ["app.nothing:Notice", {}]},
+        {"os:system": ["true"]},
+        {"subprocess:Popen": {"args": ["true"]}},
+        {"http:HTTPStatus": 200},
+        {"urllib.parse:DefragResult": ["a", "b"]},
+        {"app.acquisition.worker:Acquisition": {"bench": None}},
+        {"app.files:Path": ["x"]},
+        {"app.acquisition.remote.messages:Notice": {"ring": "x"}},
+        {"app.nothing:Notice": {}},
         {"code": "1"},
         {"array": 0},
         {"a": 1, "b": 2},
     ],
 )
 def test_nothing_but_plain_data_of_this_program_arrives(plain: object) -> None:
-    refuse({"value": plain, "arrays": []})
+    refuse((plain, []))
 
 
-@pytest.mark.parametrize("layout", [{"dtype": "f8", "shape": [1000]}, {"dtype": "O", "shape": [1]}, {}])
+@pytest.mark.parametrize("layout", [("f8", [1000]), ("O", [1]), ()])
 def test_arrays_that_are_not_there_are_refused(layout: object) -> None:
-    refuse({"value": {"array": 0}, "arrays": [layout]})
+    refuse(({"array": 0}, [layout]))
 
 
 def refuse(header: object) -> None:
@@ -120,7 +120,7 @@ def refuse(header: object) -> None:
 
 @pytest.mark.parametrize("kept", [0, 7, 8, 64, 80, -60])
 def test_a_message_that_is_cut_short_is_refused(kept: int) -> None:
-    message = bytes(encoded(Command(1, "take_dark", (np.arange(50),))).message())
+    message = bytes(encoded(Command(1, "take_dark", (np.arange(50),))))
     with pytest.raises(RunError, match="cannot be read"):
         unpacked(message[:kept])
 

@@ -130,13 +130,13 @@ def border(ring: Path) -> Iterator[tuple[Publisher, RemoteFrames]]:
             if (error := asked.exception()) is not None:
                 answer.set_exception(error)
             else:
-                answer.set_result(unpacked(encoded(asked.result()).message()))
+                answer.set_result(unpacked(encoded(asked.result())))
 
         publisher.detail(name, number).add_done_callback(encode)
         return answer
 
     frames = RemoteFrames(ask, (), 0.0)
-    publisher._notify = lambda: frames.announce(publisher.newest)
+    publisher._notify = lambda: setattr(frames, "ring_name", publisher.ring_name)
     with publisher.running(), closing(frames):
         publisher.read_every(0.0)
         yield publisher, frames
@@ -224,7 +224,7 @@ def test_details_of_an_old_frame_are_computed_by_the_client(
         with monkeypatch.context() as still:
             still.setattr(Reconstructor, "__init__", lambda *_, **__: pytest.fail("an estimator was prepared"))
             np.testing.assert_array_equal(found.wavefront.sigma(), sent.wavefront.sigma())
-        monkeypatch.setattr("app.acquisition.streams.publisher._DETAILED_S", 0.0)
+        monkeypatch.setattr("app.acquisition.streams.publisher._KEPT", 1)
         received(publisher, frames, sent)
         np.testing.assert_allclose(old.wavefront.sigma(), sent.wavefront.sigma(), rtol=1e-3)
 
@@ -243,7 +243,7 @@ def test_nothing_is_encoded_that_nobody_takes(
 ) -> None:
     sent = measured(CASES["translation"], small_bench)
     calls: list[object] = []
-    monkeypatch.setattr("app.acquisition.streams.publisher.own_message", lambda *_, **__: calls.append(0))
+    monkeypatch.setattr("app.acquisition.streams.publisher.own_frame", lambda *_, **__: calls.append(0))
     monkeypatch.setattr("app.acquisition.streams.publisher.topic_message", lambda *_: calls.append(0))
     publisher = Publisher(BENCH, tmp_path / "ring")
     with publisher.running():

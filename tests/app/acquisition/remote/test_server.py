@@ -7,19 +7,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
 import zmq
-from support.gui_bench import FakeCamera, make_frame
+from support.gui_bench import FakeCamera
 from support.patience import HANG_S, wait_until
 from support.served import connected, newest, served
 
 from app.acquisition.address import file_of
-from app.acquisition.remote.messages import Answer, Command, Heartbeat, Hello
+from app.acquisition.remote.messages import Answer, Bye, Command, Hello, State
 from app.acquisition.remote.server import Server
 from app.acquisition.serialization import encoded, unpacked
-from app.acquisition.streams.messages import NewFrame
-from app.measurement.measurement import Measurement
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -32,14 +29,14 @@ def test_strangers_are_not_heard(server: Server) -> None:
     with connected(takes_control=False) as watching, zmq.Context() as context:
         wait_until(lambda: server.acquisition.status is not None)
         messages: list[list[bytes | bytearray]] = [
-            [b"wrong key", encoded(Hello("stranger", True, 0.0)).message()],
+            [b"wrong key", encoded(Hello("stranger", True, 0.0))],
             [server.address.key.encode(), b"no message"],
-            [server.address.key.encode(), text_message('{"of":[]}')],
-            [server.address.key.encode(), text_message('{"tuple":[' * 5000 + "]}" * 5000)],
+            [server.address.key.encode(), text_message('[{"of":[]},[]]')],
+            [server.address.key.encode(), text_message("[" + '{"tuple":[' * 5000 + "]}" * 5000 + ",[]]")],
             [server.address.key.encode()],
             [b""],
-            [server.address.key.encode(), encoded(Command(1, "shut_down")).message()],  # without a hello
-            [server.address.key.encode(), encoded(Heartbeat.ALIVE).message(), b"more"],
+            [server.address.key.encode(), encoded(Command(1, "shut_down"))],  # without a hello
+            [server.address.key.encode(), encoded(Bye()), b"more"],
         ]
         with context.socket(zmq.DEALER) as socket:
             socket.connect(server.address.endpoint)
@@ -64,16 +61,16 @@ def silent_client(server: Server) -> Iterator[zmq.Socket[bytes]]:
 
 
 def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
-    socket.send_multipart([server.address.key.encode(), encoded(message).message()])
+    socket.send_multipart([server.address.key.encode(), encoded(message)])
 
 
-def send_notices(server: Server, count: int) -> None:
-    """Let the server tell of so many frames, one after the other."""
-    frame = Measurement(make_frame(np.zeros((3, 4), np.uint16)), None, "x")
+def send_news(server: Server, count: int) -> None:
+    """Let the server tell of so many states, one after the other."""
     for _ in range(count):
-        before = server._announced_frame
-        server._frames.take(frame, is_shown_only=True)
-        while server._announced_frame == before:
+        sent_s = server._sent_s
+        server._frames.count += 1
+        server._hurry()
+        while server._sent_s == sent_s:
             time.sleep(0.0005)
 
 
@@ -88,28 +85,24 @@ def read_all(socket: zmq.Socket[bytes]) -> Iterator[object]:
 def test_an_answer_reaches_a_client_that_did_not_read_for_long(server: Server, monkeypatch: pytest.MonkeyPatch) -> None:
     wait_until(lambda: server.acquisition.status is not None)
     monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
-    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 60.0, raising=False)
     with silent_client(server) as socket:
-        send_notices(server, 2000)  # more than the system keeps by itself
+        send_news(server, 2000)  # more than the system keeps by itself
         say(socket, server, Command(7, "free_minutes", (Path.cwd(),)))
         assert next(each.number for each in read_all(socket) if isinstance(each, Answer)) == 7
 
 
-def test_a_client_that_does_not_read_gets_no_news_until_it_does(
+def test_a_client_that_falls_silent_gets_no_news_until_it_says_hello(
     server: Server, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wait_until(lambda: server.acquisition.status is not None)
-    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 60.0)
-    monkeypatch.setattr("app.acquisition.remote.server._BEHIND_S", 0.1)
+    monkeypatch.setattr("app.acquisition.remote.server._SILENT_S", 0.1)
     with silent_client(server) as socket:
-        time.sleep(0.3)
+        wait_until(lambda: not server._clients)
         assert list(read_all(socket))
-        send_notices(server, 20)
+        send_news(server, 20)
         assert not list(read_all(socket))
-        say(socket, server, Heartbeat.ALIVE)
-        told = [each.count for each in read_all(socket) if isinstance(each, NewFrame)]
-    assert told
-    assert told[0] > 20
+        say(socket, server, Hello("silent", False, 0.0))
+        assert next(each.count for each in read_all(socket) if isinstance(each, State)) >= 20
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
