@@ -7,7 +7,7 @@ take and return plain data; other threads see its frozen `Status`.
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -317,7 +317,7 @@ class Instrument:
             self._recorder.forget_recent()
         return taken
 
-    def change_settings(self, changes: Iterable[tuple[str, Any]], mask: str | None = None) -> None:
+    def change_settings(self, changes: Sequence[tuple[str, Any]], mask: str | None = None) -> None:
         """Change registration, reconstruction or lattice, and the mask, whose own reference is used again.
 
         Each change is "section" or "section.key" with its value, or "lenslets" with the arguments of
@@ -433,7 +433,7 @@ class Instrument:
             self._problem, self._is_of_settings = str(error), isinstance(error, UnusableSettings)
 
 
-def _changed(bench: Bench, changes: Iterable[tuple[str, Any]]) -> Bench:
+def _changed(bench: Bench, changes: Sequence[tuple[str, Any]]) -> Bench:
     for name, value in changes:
         section, _, key = name.partition(".")
         if name == "lenslets":

@@ -68,6 +68,18 @@ def _reader(cls: Any) -> "TypeAdapter[tuple[Any]]":
     return TypeAdapter(tuple[cls], config={"strict": True, "extra": "forbid", "allow_inf_nan": False})
 
 
+def fits(value: object, kind: Any) -> bool:
+    """Return whether a value, and what it holds, has an annotated type."""
+    from pydantic import TypeAdapter, ValidationError
+
+    checks: Any = {"strict": True, "revalidate_instances": "always", "arbitrary_types_allowed": True}
+    try:
+        TypeAdapter(tuple[kind], config=checks).validate_python((value,))
+    except ValidationError:
+        return False
+    return True
+
+
 def _plain(value: Any) -> Any:
     """Return a value of TOML or Python as JSON has it, so that a wrong type stays wrong."""
     if isinstance(value, dict):

@@ -33,7 +33,6 @@ from app.recording.recorder import RecordingState
 from app.timing import Timings
 
 _COUNT = itertools.count(1)  # of connections of this process
-_CLOSED = "the connection to the instrument is closed"
 
 T = TypeVar("T")
 P = ParamSpec("P")
@@ -97,8 +96,8 @@ class Connection(Commands):
         self._wakeup = WakeupPipe()
         self.commands: PendingCommands = PendingCommands(self._wakeup.notify)
         self._pause_s = 0.0 if sinks else _SHOWN_S
-        self.frames = RemoteFrames(partial(self.commands.add, "detail"), sinks, self._pause_s)
-        self._heard_s = self._said_s = math.inf  # until the instrument is reached
+        self.frames = RemoteFrames(partial(self.commands.add, "part"), sinks, self._pause_s)
+        self._heard_s = self._hello_due_s = math.inf  # until the instrument is reached
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.DEALER)
         self._monitor = self._socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
@@ -211,7 +210,6 @@ class Connection(Commands):
         for message in messages:
             with suppress(zmq.Again):  # the instrument stands still
                 self._socket.send_multipart([self.address.key.encode(), encoded(message)], zmq.NOBLOCK)
-            self._said_s = time.monotonic()
 
     def _work(self) -> None:
         poller = zmq.Poller()
@@ -220,8 +218,7 @@ class Connection(Commands):
         try:
             self._reach()
             while not self._closing.is_set() and self._ended is None:
-                ready = dict(poller.poll(_TICK_MS))
-                self._turn(ready)
+                self._turn(dict(poller.poll(_TICK_MS)))
             self._say(*self.commands.take(), Bye())
         except RunError as error:
             self._ended = error
@@ -229,7 +226,7 @@ class Connection(Commands):
             self._ended = error
             raise
         finally:
-            self.commands.close(self._ended or RunError(_CLOSED))
+            self.commands.close(self._ended or RunError("the connection to the instrument is closed"))
             self._has_state.set()
             self._socket.disable_monitor()
             self._context.destroy(linger=_LINGER_MS)
@@ -245,6 +242,7 @@ class Connection(Commands):
     def _say_hello(self) -> None:
         self._say(Hello(self.name, self._takes_control, self._pause_s))
         self._takes_control = False  # once: a client that was silent for too long only watches
+        self._hello_due_s = time.monotonic() + _ALIVE_S
 
     def _turn(self, ready: dict[Any, int]) -> None:
         self._wakeup.clear()
@@ -266,7 +264,7 @@ class Connection(Commands):
             raise RunError(
                 f"the instrument of process {self.address.process} does not answer: stop it, and start it again"
             )
-        if now_s > self._said_s + _ALIVE_S:
+        if now_s > self._hello_due_s:
             self._say_hello()
         self.commands.give_up_lost(self._heard_s)
 
@@ -274,23 +272,19 @@ class Connection(Commands):
         return "has ended"
 
     def _take(self, message: object) -> None:
-        match message:
-            case NewStatus():
-                self.bench, self.status = message.bench, message.status
-            case State():
-                self._take_state(message)
-            case Answer():
-                self.frames.outdate(message.count)
-                self.commands.note_answer(message)
-
-    def _take_state(self, state: State) -> None:
-        self.counts, self.recording, self.kept = state.counts, state.recording, state.kept
-        self._activity, self.clients, self.controller = state.activity, state.clients, state.controller
-        self._is_gone = not state.is_alive
-        self.frames.ring_name, self.frames.count = state.ring_name, max(state.count, self.frames.count)
-        if self._is_gone and self._ended is None:
-            self._ended = state.ended_by or RunError("the instrument was shut down")
-        self._has_state.set()
+        if isinstance(message, NewStatus):
+            self.bench, self.status = message.bench, message.status
+        elif isinstance(message, Answer):
+            self.frames.outdate(message.count)
+            self.commands.note_answer(message)
+        elif isinstance(message, State):
+            self.counts, self.recording, self.kept = message.counts, message.recording, message.kept
+            self._activity, self.clients, self.controller = message.activity, message.clients, message.controller
+            self._is_gone = not message.is_alive
+            self.frames.ring_name, self.frames.count = message.ring_name, max(message.count, self.frames.count)
+            if self._is_gone and self._ended is None:
+                self._ended = message.ended_by or RunError("the instrument was shut down")
+            self._has_state.set()
 
 
 RunningInstrument: TypeAlias = Acquisition | Connection  # as window, commands and scripts see it

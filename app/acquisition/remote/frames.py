@@ -38,7 +38,7 @@ _ANSWER_S = 2.0  # for a detail; then it is computed here
 _REPLACED_S = 3.0  # for the name of the next ring, after one could not be opened
 
 Ask: TypeAlias = Callable[[str, int], Future[Any]]
-"""Asks the instrument for a part of the record with a count; see `Publisher.detail`."""
+"""Asks the instrument for a part of the record with a count; see `Publisher.part`."""
 
 
 class RemoteFrames:

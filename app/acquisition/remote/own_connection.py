@@ -8,7 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
-from app.acquisition.address import Address, is_taken
+from app.acquisition.address import Address
 from app.acquisition.remote.connection import Connection
 from app.bench.config import Bench
 from app.errors import RunError
@@ -45,7 +45,7 @@ class OwnConnection(Connection):
     def _reach(self) -> None:
         until_s = time.monotonic() + _STARTS_S
         while not self._is_announced():
-            if self._closing.is_set():
+            if self._closing.wait(_LOOK_S):
                 self.process.terminate()
                 return
             if self.process.poll() is not None:
@@ -55,17 +55,15 @@ class OwnConnection(Connection):
             if time.monotonic() > until_s:
                 self.process.kill()
                 raise RunError(f"the instrument's process could not be reached within {_STARTS_S:g} s, and was ended")
-            time.sleep(_LOOK_S)
         self._forget_bench()  # it was read; a window that is killed leaves none
-        self.address = Address.of(self.address.name)
         super()._reach()
 
     def _is_announced(self) -> bool:
-        """True if the process has the name; another one may have taken it."""
-        if not is_taken(self.address.name):
-            return False
+        """True if the process has the name, and its address is known; another one may have taken it."""
+        with suppress(RunError):  # not yet
+            self.address = Address.of(self.address.name)
         # On Windows, the process of a virtual environment starts another one.
-        return sys.platform == "win32" or Address.of(self.address.name).process == self.process.pid
+        return bool(self.address.key) and (sys.platform == "win32" or self.address.process == self.process.pid)
 
     def _how_it_ended(self) -> str:
         with suppress(subprocess.TimeoutExpired):

@@ -47,12 +47,10 @@ class PendingCommands:
         future.set_running_or_notify_cancel()  # what is sent cannot be called back
         command = Command(next(self._numbers), request, arguments, named)
         try:
-            nbytes = Message(command).nbytes
-        except RunError as refusal:
+            if Message(command).nbytes > MOST_BYTES:
+                raise BadValue(f"{request}: this is too large to be sent to the instrument")  # noqa: TRY301 - as others
+        except (BadValue, RunError) as refusal:
             future.set_exception(refusal)
-            return future
-        if nbytes > MOST_BYTES:
-            future.set_exception(BadValue(f"{request}: this is too large to be sent to the instrument"))
             return future
         with self._lock:
             if self._refusal is None:

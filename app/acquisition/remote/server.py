@@ -7,9 +7,9 @@ control; the others watch. A client that falls silent loses it; the measurement 
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -37,17 +37,17 @@ from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
 from app.errors import RunError
+from app.progress import run_in_thread
 from drivers.errors import WrongState
 from drivers.interface import Devices
 
-_STATE_S = 0.2  # between two states that differ; the longest wait for news
-_PULSE_S = 0.5  # between two that do not, and two looks at the size of the log
+_STATE_S = 0.2  # between two states, and two looks at the size of the log
 _SILENT_S = 5.0  # after which a client counts as gone
 _STOPPED_S = 0.6  # between two turns, after which this process counts as stopped in between
 _GATHERING_S = 0.1  # in which all that was sent to a stopped process arrives
 _LINGER_MS = 300
 
-_FOR_ALL = {"take_control", "switch_light_off", "free_minutes", "stage_times", "detail"}
+_FOR_ALL = {"take_control", "switch_light_off", "free_minutes", "stage_times", "part"}
 _NEVER_TOO_LATE = {"switch_light_off", "shut_down"}  # they make the instrument safe
 
 
@@ -74,9 +74,8 @@ class Server:
         self._clients: dict[bytes, _Client] = {}
         self._controller = b""
         self._done: deque[tuple[bytes, Command, Future[Any]]] = deque()
-        self._state: State | None = None
         self._status: Status | None = None  # as sent
-        self._sent_s = self._state_due_s = -math.inf
+        self._state_due_s = -math.inf
         self._heard_s = math.inf  # when messages were heard last
         self._is_over = False
         self._fault: Exception | None = None  # of this end
@@ -132,8 +131,10 @@ class Server:
         with self.acquisition.commands.lock:  # until all are heard: one of them may switch the light off
             if now_s > self._heard_s + _STOPPED_S:
                 time.sleep(_GATHERING_S)
-            for identity, message in self._arrived():
-                self._hear(identity, message, now_s)
+            while self._socket.poll(0):
+                identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
+                with suppress(RunError):  # of another version
+                    self._hear(identity, unpacked(body) if key == self._key else None, now_s)
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
@@ -143,18 +144,6 @@ class Server:
             self._answer(*self._done.popleft())
         if now_s > self._state_due_s:
             self._tell_state()
-
-    def _arrived(self) -> Iterator[tuple[bytes, Any]]:
-        """Yield the messages that have arrived, with their senders."""
-        while self._socket.poll(0):
-            identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
-            if key != self._key:
-                continue
-            try:
-                message = unpacked(body)
-            except RunError:  # of another version
-                continue
-            yield identity, message
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         client = self._clients.get(identity)
@@ -203,8 +192,8 @@ class Server:
         if identity != self._controller and name not in _FOR_ALL:
             holder = self._clients.get(self._controller)
             raise WrongState(watching("" if holder is None else holder.name))
-        if name == "detail":
-            return self._frames.detail(*command.arguments)
+        if name == "part":
+            return run_in_thread(partial(self._frames.part, *command.arguments), "part of a frame")[0]
         if name == "take_control":
             self._controller = identity
             return done()
@@ -216,7 +205,7 @@ class Server:
     def _answer(self, identity: bytes, command: Command, future: Future[Any]) -> None:
         failure, count = future.exception(), 0
         result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
-        if command.request != "detail":
+        if command.request != "part":
             count = self._frames.count
             self._tell_state()
         try:
@@ -242,21 +231,17 @@ class Server:
         )
 
     def _tell_state(self, *, is_over: bool = False) -> None:
-        """Send the state to all clients if it differs from the last one, or that was long ago.
+        """Send the state to all clients, behind the status if there is another.
 
         The status is read after the activity and sent before it: as soon as a routine ends, it is that after it.
         """
-        now_s = time.monotonic()
-        self._state_due_s = now_s + _STATE_S
+        self._state_due_s = time.monotonic() + _STATE_S
         state = self._present(is_over=is_over)
-        if self.acquisition.status is not self._status:
-            new_status = self._new_status()
+        if (new_status := self._new_status()).status is not self._status:
             self._status = new_status.status
             self._tell_all(new_status)
-        if state != self._state or now_s > self._sent_s + _PULSE_S:
-            self._state, self._sent_s = state, now_s
-            self._tell_all(state)
-            bound_log(self.address.name)
+        self._tell_all(state)
+        bound_log(self.address.name)
 
     def _hurry(self) -> None:
         """Let clients know of another ring at once."""

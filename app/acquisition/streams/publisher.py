@@ -10,7 +10,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +20,6 @@ import zmq
 from app.acquisition.serialization import Message
 from app.acquisition.streams.messages import DETAILS, SHARED, TOPICS, calibration_facts, own_frame, topic_message
 from app.acquisition.streams.ring import RingWriter
-from app.acquisition.wakeup_pipe import WakeupPipe
 from app.bench.config import Bench
 from app.errors import RunError
 from app.measurement.calibration import Calibration
@@ -34,6 +32,7 @@ _SPARE = 1.5  # a slot's size over that of the first record which needs it
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
 _BUFFER_BYTES = 1 << 18  # system buffer per subscriber; a larger one would only delay messages
 _TOPIC_BYTES = 64  # longest message of a subscriber: a longer one closes its connection
+_SUBSCRIBED_S = 0.1  # between two looks for subscriptions
 _CHANGES_AT_ONCE = 100  # of subscriptions, between measurements
 _HANDSHAKE_MS = 2000
 _LINGER_MS = 300  # time to send the last messages
@@ -59,14 +58,13 @@ class Publisher:
         self._sequence = 0
         self.count = 0  # of the measurements that clients may read
         self._waiting, self._unwritten = deque[_Taken](maxlen=_WAITING), list[_Taken]()
-        self._asked = deque[tuple[Future[Any], str, int]]()
         self._written_s = -math.inf
         self._ring: RingWriter | None = None
         self.ring_name = ""
         self._kept, self._shared = dict[int, Measurement](), dict[str, tuple[Any, int]]()
         self._facts: tuple[Calibration | None, str] | None = None
         self._subscriptions = set[bytes]()
-        self._wakeup, self._closing = WakeupPipe(), threading.Event()
+        self._wakeup, self._closing = threading.Event(), threading.Event()
         self.error: Exception | None = None  # that ended the thread
 
     def take(self, measurement: Measurement, *, is_shown_only: bool = False) -> None:
@@ -79,34 +77,30 @@ class Publisher:
         count = 0 if measurement.is_skipped else self.count
         self._waiting.append(_Taken(self._sequence, count, measurement, is_shown_only))
         if is_taken and (was_empty or self._subscriptions or self._pause_s == 0):
-            self._wakeup.notify()
+            self._wakeup.set()
 
     def read_every(self, pause_s: float) -> None:
         """Write as often as the fastest client reads, every `pause_s`; all measurements if 0, none if infinite."""
         self._pause_s = pause_s
-        self._wakeup.notify()
+        self._wakeup.set()
 
-    def detail(self, name: str, number: int) -> Future[Any]:
+    def part(self, name: str, count: int) -> Any:
         """Return a part of the record with a count, see `SHARED` and `DETAILS`; `RunError` if it is too old."""
-        future: Future[Any] = Future()
-        if self._closing.is_set():
-            raise RunError("the acquisition has ended")
-        self._asked.append((future, name, number))
-        self._wakeup.notify()
-        return future
+        if (measurement := self._kept.get(count)) is None:
+            raise RunError(f"there is no {name} of frame {count}")
+        return (SHARED | DETAILS)[name](measurement)
 
     @contextmanager
     def running(self) -> Iterator[None]:
         """Open the port of `bench.streams`, if there is one, and publish; `RunError` if that fails."""
         with ExitStack() as at_end:
-            for end in (self._wakeup.close, self._close_ring):
-                at_end.callback(end)
+            at_end.callback(self._close_ring)
             socket = None if self._bench.streams.port is None else _open_port(at_end, self._bench)
             thread = threading.Thread(target=self._work, args=(socket,), name="publisher", daemon=True)
             if socket is not None or self._ring_file is not None:
                 thread.start()
                 at_end.callback(thread.join)
-            at_end.callback(self._wakeup.notify)
+            at_end.callback(self._wakeup.set)
             at_end.callback(self._closing.set)
             yield
 
@@ -115,13 +109,10 @@ class Publisher:
             self._ring.close()  # readers that have it open keep what they have
 
     def _work(self, socket: "zmq.Socket[bytes] | None") -> None:
-        poller, is_last = zmq.Poller(), False
-        for each in (self._wakeup, socket):
-            if each is not None:
-                poller.register(each, zmq.POLLIN)
+        is_last = False
         try:
             while not is_last:
-                poller.poll(self._timeout_ms())
+                self._wakeup.wait(self._wait_s(socket))
                 self._wakeup.clear()
                 is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
                 self._publish_waiting(socket)
@@ -129,10 +120,11 @@ class Publisher:
             self.error = error
             self._notify()
 
-    def _timeout_ms(self) -> int | None:
-        if not (self._waiting or self._unwritten) or math.isinf(self._pause_s):
-            return None
-        return max(math.ceil(1e3 * (self._due_s - time.monotonic())), 0)
+    def _wait_s(self, socket: "zmq.Socket[bytes] | None") -> float | None:
+        """Longest wait for a measurement: until the next record is due, or others may have subscribed."""
+        due_s = self._due_s - time.monotonic() if self._waiting or self._unwritten else math.inf
+        wait_s = max(min(due_s, math.inf if socket is None else _SUBSCRIBED_S), 0.0)
+        return wait_s if math.isfinite(wait_s) else None
 
     @property
     def _due_s(self) -> float:
@@ -154,8 +146,6 @@ class Publisher:
                 self._write()
         if is_due:
             self._write()
-        while self._asked:
-            self._answer(*self._asked.popleft())
 
     def _write(self) -> None:
         """Write the newest measurement into the ring, if that has not been done."""
@@ -191,14 +181,6 @@ class Publisher:
                     since[name] = count
                 self._shared[name] = part, since[name]
         return since
-
-    def _answer(self, future: Future[Any], name: str, count: int) -> None:
-        try:
-            if (measurement := self._kept.get(count)) is None:
-                raise RunError(f"there is no {name} of frame {count}")  # noqa: TRY301 - the answer
-            future.set_result((SHARED | DETAILS)[name](measurement))
-        except Exception as error:  # noqa: BLE001 - of this answer alone
-            future.set_exception(error)
 
     def _send_topics(self, socket: "zmq.Socket[bytes]", taken: _Taken) -> None:
         measurement = taken.measurement

@@ -21,6 +21,7 @@ from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Assumptions, FrameTotals, Gap, LightState, Measurement, RefinementState
+from app.progress import run_in_thread
 from app.results.shown_wavefront import with_views
 from reconstruction.field_coefficients import ModalFit, fit_coefficients
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
@@ -123,17 +124,8 @@ def border(ring: Path) -> Iterator[tuple[Publisher, RemoteFrames]]:
     """Publish to a client that reads everything, in this process."""
     publisher = Publisher(BENCH, ring)
 
-    def ask(name: str, number: int) -> Future[Any]:
-        answer: Future[Any] = Future()
-
-        def encode(asked: Future[Any]) -> None:
-            if (error := asked.exception()) is not None:
-                answer.set_exception(error)
-            else:
-                answer.set_result(unpacked(encoded(asked.result())))
-
-        publisher.detail(name, number).add_done_callback(encode)
-        return answer
+    def ask(name: str, count: int) -> Future[Any]:
+        return run_in_thread(lambda: unpacked(encoded(publisher.part(name, count))), "answer")[0]
 
     frames = RemoteFrames(ask, (), 0.0)
     publisher._notify = lambda: setattr(frames, "ring_name", publisher.ring_name)

@@ -67,10 +67,9 @@ def say(socket: zmq.Socket[bytes], server: Server, message: object) -> None:
 def send_news(server: Server, count: int) -> None:
     """Let the server tell of so many states, one after the other."""
     for _ in range(count):
-        sent_s = server._sent_s
         server._frames.count += 1
         server._hurry()
-        while server._sent_s == sent_s:
+        while server._state_due_s < 0:
             time.sleep(0.0005)
 
 
