@@ -87,7 +87,7 @@ def taken_address(name: str = NAME) -> Iterator[Address]:
 
 def clear_abandoned(name: str, *, timeout_s: float = 0.0) -> None:
     """Remove the files of a killed instrument."""
-    if _left(name):
+    if file_of(name, "json").exists():
         with suppress(RunError), _lock(name, timeout_s):  # held while one runs
             _clear(name)
 
@@ -124,12 +124,6 @@ def _has_locked(descriptor: int) -> bool:
     return True
 
 
-def _left(name: str) -> list[Path]:
-    """Return the files of a running instrument: its address, on some systems socket and ring."""
-    pattern = file_of(name, "*")
-    return [file for file in pattern.parent.glob(pattern.name) if file.suffix.removeprefix(".") not in _LASTING]
-
-
 def bound_log(name: str) -> None:
     """Empty the log of an instrument if it has grown too large."""
     with suppress(OSError):  # there is none
@@ -138,9 +132,12 @@ def bound_log(name: str) -> None:
 
 
 def _clear(name: str) -> None:
-    for left in _left(name):
-        with suppress(OSError):  # gone already; or Windows keeps a file that a client has open
-            left.unlink()
+    """Remove the files of a running instrument: its address, on some systems socket and ring."""
+    pattern = file_of(name, "*")
+    for file in pattern.parent.glob(pattern.name):
+        if file.suffix.removeprefix(".") not in _LASTING:
+            with suppress(OSError):  # gone already; or Windows keeps a file that a client has open
+                file.unlink()
 
 
 def file_of(name: str, ending: str) -> Path:

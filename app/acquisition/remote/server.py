@@ -4,20 +4,22 @@ Frames go into a shared ring, everything else through one ZeroMQ socket, whose m
 control; the others watch. A client that falls silent loses it; the measurement goes on.
 """
 
+import inspect
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, get_origin, get_type_hints
 
 import zmq
 
 from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
+from app.acquisition.commands import Commands
 from app.acquisition.instrument import Status
 from app.acquisition.remote.messages import (
     MOST_BYTES,
@@ -30,15 +32,15 @@ from app.acquisition.remote.messages import (
     portable_error,
     watching,
 )
-from app.acquisition.remote.requests import begin_request
 from app.acquisition.serialization import encoded, unpacked
 from app.acquisition.streams.publisher import Publisher
 from app.acquisition.wakeup_pipe import WakeupPipe
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.bench.settings_schema import fits
 from app.errors import RunError
 from app.progress import run_in_thread
-from drivers.errors import WrongState
+from drivers.errors import BadValue, WrongState
 from drivers.interface import Devices
 
 _STATE_S = 0.2  # between two states, and two looks at the size of the log
@@ -131,10 +133,8 @@ class Server:
         with self.acquisition.commands.lock:  # until all are heard: one of them may switch the light off
             if now_s > self._heard_s + _STOPPED_S:
                 time.sleep(_GATHERING_S)
-            while self._socket.poll(0):
-                identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
-                with suppress(RunError):  # of another version
-                    self._hear(identity, unpacked(body) if key == self._key else None, now_s)
+            for identity, message in self._arrived():
+                self._hear(identity, message, now_s)
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
@@ -144,6 +144,13 @@ class Server:
             self._answer(*self._done.popleft())
         if now_s > self._state_due_s:
             self._tell_state()
+
+    def _arrived(self) -> Iterator[tuple[bytes, Any]]:
+        """Yield the messages that have arrived, with their senders."""
+        while self._socket.poll(0):
+            identity, key, body = (*self._socket.recv_multipart(), b"", b"")[:3]
+            with suppress(RunError):  # of another version
+                yield identity, unpacked(body) if key == self._key else None
 
     def _hear(self, identity: bytes, message: Any, now_s: float) -> None:
         client = self._clients.get(identity)
@@ -200,7 +207,7 @@ class Server:
         if name == "shut_down":
             self._is_over = True  # after this turn, in which it is answered
             return done()
-        return begin_request(command, self.acquisition)
+        return _begin_request(command, self.acquisition)
 
     def _answer(self, identity: bytes, command: Command, future: Future[Any]) -> None:
         failure, count = future.exception(), 0
@@ -259,3 +266,25 @@ class Server:
     def _tell(self, identity: bytes, *messages: object) -> None:
         for message in messages:
             self._socket.send_multipart([identity, encoded(message)])
+
+
+def _begin_request(command: Command, acquisition: Acquisition) -> Future[Any]:
+    """Call the method that a command names, and return its future.
+
+    `BadValue` if that is no command or request of an acquisition, or the arguments do not fit its annotations.
+    """
+    name = command.request
+    method: Any = getattr(Acquisition, name, None)
+    hints = get_type_hints(method) if inspect.isfunction(method) and not name.startswith("_") else {}
+    if name not in vars(Commands) and get_origin(hints.get("return")) is not Future:
+        raise BadValue(f"the instrument knows no command {name}")
+    try:
+        bound = inspect.signature(method).bind(acquisition, *command.arguments, **command.named)
+    except TypeError as error:
+        raise BadValue(f"{name}: {error}") from error
+    for key in bound.arguments.keys() & hints:
+        if not fits(value := bound.arguments[key], hints[key]):
+            kind = getattr(hints[key], "__name__", hints[key])
+            raise BadValue(f"{name}: {key} must be {kind}, not {value!r:.60}")
+    future: Future[Any] = method(*bound.args, **bound.kwargs)
+    return future

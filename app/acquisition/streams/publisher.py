@@ -112,7 +112,7 @@ class Publisher:
         is_last = False
         try:
             while not is_last:
-                self._wakeup.wait(self._wait_s(socket))
+                self._wakeup.wait(self._wait_s)
                 self._wakeup.clear()
                 is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
                 self._publish_waiting(socket)
@@ -120,11 +120,11 @@ class Publisher:
             self.error = error
             self._notify()
 
-    def _wait_s(self, socket: "zmq.Socket[bytes] | None") -> float | None:
-        """Longest wait for a measurement: until the next record is due, or others may have subscribed."""
-        due_s = self._due_s - time.monotonic() if self._waiting or self._unwritten else math.inf
-        wait_s = max(min(due_s, math.inf if socket is None else _SUBSCRIBED_S), 0.0)
-        return wait_s if math.isfinite(wait_s) else None
+    @property
+    def _wait_s(self) -> float:
+        """Longest wait for a measurement: until the next record is due, or other programs may have subscribed."""
+        due_s = self._due_s if self._waiting or self._unwritten else math.inf
+        return max(min(due_s - time.monotonic(), _SUBSCRIBED_S), 0.0)
 
     @property
     def _due_s(self) -> float:
@@ -176,10 +176,9 @@ class Publisher:
         since = dict[str, int]()
         for name, find in SHARED.items():
             if (part := find(measurement)) is not None:
-                known, since[name] = self._shared.get(name, (None, count))
-                if known is not part:
-                    since[name] = count
-                self._shared[name] = part, since[name]
+                if self._shared.get(name, (None, 0))[0] is not part:
+                    self._shared[name] = part, count
+                since[name] = self._shared[name][1]
         return since
 
     def _send_topics(self, socket: "zmq.Socket[bytes]", taken: _Taken) -> None:

@@ -32,9 +32,10 @@ def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPa
             ring = RingWriter(1000, file_of(name, "ring"))
         ring._file = None
         ring.close()  # all that a kill closes
+        file_of(name, "json").touch()
     clear_abandoned("instrument")
     left = sorted(each.name.partition("-")[0] for each in runtime_folder().iterdir())
-    assert left == ["instrument.lock", "other.ring"]
+    assert left == ["instrument.lock", "other.json", "other.ring"]
 
 
 def test_a_place_belongs_to_one_instrument() -> None:
