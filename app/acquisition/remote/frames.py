@@ -33,7 +33,7 @@ from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Sp
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
-_POLL_S = 0.004  # between two looks for a new record: at 1000 frames per second half of the ring's slots are read then
+_POLL_S, _IDLE_POLL_S = 0.004, 0.02  # between two looks for a new record: at 1000 per second the ring has room for 8 ms
 _ANSWER_S = 2.0  # for a detail; then it is computed here
 _REPLACED_S = 3.0  # for the name of the next ring, after one could not be opened
 
@@ -95,11 +95,12 @@ class RemoteFrames:
     def _records(self, count: int, *, is_every_read: bool) -> Generator[tuple[int, OwnFrame, Measurement]]:
         """Yield the newest record whenever there is another, or every one after a count; until the end."""
         name, ring, missing_s = "", None, math.inf  # until another ring should be named
+        wait_s = _POLL_S
         with ExitStack() as opened:
             while True:
                 is_over, wanted = self._closing.is_set(), self.ring_name  # before the last look at the ring
                 if ring is not None and (newest := ring.count) > count:
-                    count = count + 1 if is_every_read else newest
+                    count, wait_s = count + 1 if is_every_read else newest, _POLL_S
                     if (body := ring.read(count)) is None:
                         self.overtaken += is_every_read
                     elif (found := self._measurement(count, body)) is not None:
@@ -112,7 +113,8 @@ class RemoteFrames:
                     return
                 else:
                     missing_s = math.inf if name == wanted else min(missing_s, time.monotonic() + _REPLACED_S)
-                    self._closing.wait(_POLL_S)
+                    self._closing.wait(wait_s)
+                    wait_s = min(1.2 * wait_s, _IDLE_POLL_S)
 
     def _measurement(self, count: int, body: bytes) -> tuple[OwnFrame, Measurement] | None:
         """The frame of a record; None if a shared part of it does not arrive, as the instrument has ended."""
