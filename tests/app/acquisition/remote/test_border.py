@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from support.gui_bench import BENCH, make_frame
 from support.optics import FIELD, SmallBench
-from support.patience import wait_until
+from support.patience import HANG_S, wait_until
 
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.serialization import encoded, unpacked
@@ -150,6 +150,7 @@ def test_frame_arrives_as_the_instrument_has_it(
 ) -> None:
     """No estimator is prepared for it, whatever is asked of the wavefront."""
     sent = measured(CASES[name], small_bench)
+    monkeypatch.setattr("app.acquisition.remote.frames._ANSWER_S", HANG_S)  # the first ones are compiled
     monkeypatch.setattr(Reconstructor, "__init__", lambda *_, **__: pytest.fail("an estimator was prepared"))
     with border(tmp_path / "ring") as (publisher, frames):
         found = received(publisher, frames, sent)
