@@ -245,7 +245,7 @@ def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
     """Exclude the pixels that land in a neighbour's cell or between bad pixels."""
     cosine, sine = frame.turn[0], frame.turn[1]
     for n in range(scratch.x.size):
-        column, row = scratch.left[n], scratch.above[n]
+        column, row = np.int32(scratch.x[n]), np.int32(scratch.y[n])
         along = scratch.x[n] - np.float32(frame.center_px[lenslet, 0])
         across = scratch.y[n] - np.float32(frame.center_px[lenslet, 1])
         beyond = max(abs(cosine * along + sine * across), abs(cosine * across - sine * along)) > frame.half_cell_px

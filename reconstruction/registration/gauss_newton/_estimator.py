@@ -219,7 +219,7 @@ class GaussNewton:
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
-        self._power = noise_power_polynomial()
+        self._power = noise_power_polynomial().astype(np.float32)
         self._idle_arrays: list[WorkArrays] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)

@@ -91,7 +91,7 @@ def fit_lenslets(  # noqa: C901, PLR0912, PLR0917 - called functions, inlined on
     grids: tuple[Grid, Grid],
     search: WholePixelSearch,
     limits: FitLimits,
-    power: Floats,
+    power: Image,
     fits: Fits,
     arrays: WorkArrays,
     counters: Counters,
@@ -184,21 +184,21 @@ def _is_poor(state: State, poor_square: Image) -> bool:
 
 
 @inlined
-def _interpolated_noise(weight: Image, light: Image, power: Floats, scratch: Scratch, found: Floats) -> None:
+def _interpolated_noise(weight: Image, light: Image, power: Image, scratch: Scratch, found: Floats) -> None:
     """Mean share of the noise that interpolation leaves in a warped window: uniform, shot noise, (2,)."""
-    pixels, shot, left_pixels, left_shot = 0.0, 0.0, 0.0, 0.0
+    pixels = shot = left_pixels = left_shot = np.float32(0)
     for n in range(0, weight.size, _NOISE_STRIDE):
-        x, y = scratch.fraction[n], scratch.y[n] - np.float32(scratch.above[n])
-        p, q = x * (1 - x), y * (1 - y)
+        x = scratch.x[n] - np.float32(np.int32(scratch.x[n]))
+        y = scratch.y[n] - np.float32(np.int32(scratch.y[n]))
+        p, q = x * (np.float32(1) - x), y * (np.float32(1) - y)
         left = power[0] + p * (power[1] + p * (power[2] + p * power[3]))
         left *= power[0] + q * (power[1] + q * (power[2] + q * power[3]))
-        weight_n = weight[n]
-        shot_n = weight_n * max(light[n], np.float32(0.0))
-        pixels += weight_n
+        shot_n = weight[n] * max(light[n], np.float32(0))
+        pixels += weight[n]
         shot += shot_n
-        left_pixels += weight_n * left
+        left_pixels += weight[n] * left
         left_shot += shot_n * left
-    found[0], found[1] = left_pixels / max(pixels, 1e-30), left_shot / max(shot, 1e-30)
+    found[0], found[1] = left_pixels / max(pixels, np.float32(1e-30)), left_shot / max(shot, np.float32(1e-30))
 
 
 @inlined

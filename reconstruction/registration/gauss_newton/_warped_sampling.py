@@ -6,7 +6,7 @@ Loops over the pixels of a window begin at 0, and indices of pixels are 32 bits 
 for negative indices, and the processor then handles fewer pixels at a time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
@@ -19,9 +19,11 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import FAST_MATH, compiled, inlined
 
 MONOMIALS = tuple((degree - n, n) for degree in range(5) for n in range(degree + 1))  # powers of u and v
-_ONE, _TWO, _THREE, _FOUR, _HALF = (np.float32(value) for value in (1, 2, 3, 4, 0.5))
-_SIXTH, _TWO_THIRDS = np.float32(1 / 6), np.float32(2 / 3)
-_FOUR_FLOATS, _INDEX = ir.VectorType(ir.FloatType(), 4), ir.IntType(32)
+_ONE, _TWO, _THREE, _FOUR_TIMES = (np.float32(value) for value in (1, 2, 3, 4))
+_AT_ONCE = 16  # pixels that are interpolated at a time; four times four neighbours are as many numbers
+_INDEX, _ADDRESS = ir.IntType(32), ir.IntType(64)
+_FOUR, _FLOATS = (ir.VectorType(ir.FloatType(), count) for count in (4, _AT_ONCE))
+_INDICES = ir.VectorType(_INDEX, _AT_ONCE)
 # Of a cubic B-spline's weights of four neighbours at the pixel fraction t: coefficients of t^3, t^2, t and 1.
 _SPLINE = ((-1 / 6, 1 / 2, -1 / 2, 1 / 6), (1 / 2, -1, 1 / 2, 0), (-1 / 2, 0, 1 / 2, 0), (1 / 6, 2 / 3, 1 / 6, 0))
 
@@ -48,10 +50,6 @@ class Scratch(NamedTuple):
     y: Image
     light: Image  # of the frame there, counts, (N,)
     stretch: Image  # determinant of the warp, (N,)
-    left: NDArray[np.int32]  # column and row of the pixel before that position, (N,)
-    above: NDArray[np.int32]
-    weights: Image  # of the four rows of coefficients about it, (4, N)
-    fraction: Image  # of a pixel, along x, (N,)
     residual: Image  # counts, (N,)
     excluded: NDArray[np.bool_]  # excluded pixels, (N,)
     warp: Image  # of the displacement, (xy, monomial)
@@ -62,17 +60,13 @@ class Scratch(NamedTuple):
 
 def new_scratch(pixels: int, parameters: int) -> Scratch:
     """Allocate work arrays for windows of that many pixels and that many parameters."""
-    x, y, light, stretch, fraction, residual = np.ones((6, pixels), np.float32)
-    left, above = np.empty((2, pixels), np.int32)
+    room = -(-pixels // _AT_ONCE) * _AT_ONCE  # some are interpolated beyond the last one
+    x, y, light, stretch, residual = np.ones((5, room), np.float32)[:, :pixels]
     return Scratch(
         x=x,
         y=y,
         light=light,
         stretch=stretch,
-        left=left,
-        above=above,
-        weights=np.empty((4, pixels), np.float32),
-        fraction=fraction,
         residual=residual,
         excluded=np.empty(pixels, np.bool_),
         warp=np.empty((2, len(MONOMIALS)), np.float32),
@@ -86,10 +80,12 @@ def new_scratch(pixels: int, parameters: int) -> Scratch:
 def combine(parameters: Image, monomials: Image, warp: Image) -> None:
     """Compute the polynomials (xy, monomial) of a displacement with the parameters (P,)."""
     for axis in range(2):
-        for m in range(warp.shape[1]):
-            warp[axis, m] = 0
-            for p in range(parameters.size):
-                warp[axis, m] += parameters[p] * monomials[p, axis, m]
+        total = warp[axis]
+        for m in range(total.size):
+            total[m] = 0
+        for p in range(parameters.size):
+            for m in range(total.size):
+                total[m] += parameters[p] * monomials[p, axis, m]
 
 
 @inlined
@@ -121,8 +117,8 @@ def _quadratic_value(p: Terms, u: np.float32, v: np.float32) -> np.float32:
 def _slopes(p: Terms, u: np.float32, v: np.float32) -> tuple[np.float32, np.float32]:
     """Derivatives of a polynomial with respect to u and v."""
     along = p[1] + v * (p[4] + v * (p[8] + v * p[13]))
-    along += u * (_TWO * (p[3] + v * (p[7] + v * p[12])) + u * (_THREE * (p[6] + v * p[11]) + u * _FOUR * p[10]))
-    across = p[2] + v * (_TWO * p[5] + v * (_THREE * p[9] + v * _FOUR * p[14]))
+    along += u * (_TWO * (p[3] + v * (p[7] + v * p[12])) + u * (_THREE * (p[6] + v * p[11]) + u * _FOUR_TIMES * p[10]))
+    across = p[2] + v * (_TWO * p[5] + v * (_THREE * p[9] + v * _FOUR_TIMES * p[14]))
     across += u * (p[4] + v * (_TWO * p[8] + v * _THREE * p[13]) + u * (p[7] + v * _TWO * p[12] + u * p[11]))
     return along, across
 
@@ -151,7 +147,7 @@ def sample_warped(
     """
     rows, columns = coefficients.shape
     last_x, last_y = np.float32(columns - 3), np.float32(rows - 3)
-    x, y, left, above, weights = scratch.x, scratch.y, scratch.left, scratch.above, scratch.weights
+    x, y = scratch.x, scratch.y
     warp, placed, cosine, sine = scratch.warp, scratch.placed, turn[0], turn[1]
     for m in range(warp.shape[1]):
         along, across = warp[0, m], warp[1, m]
@@ -177,56 +173,81 @@ def sample_warped(
             x_u, x_v = _slopes(p, window.u[n], window.v[n])
             y_u, y_v = _slopes(q, window.u[n], window.v[n])
             scratch.stretch[n] = (_ONE + scale[1] * x_u) * (_ONE + scale[1] * y_v) - scale[1] * y_u * scale[1] * x_v
-    for n in range(x.size):
-        left[n], above[n] = np.int32(x[n]), np.int32(y[n])
-        scratch.fraction[n], w = x[n] - np.float32(left[n]), y[n] - np.float32(above[n])
-        r = _ONE - w
-        weights[0, n], weights[3, n] = _SIXTH * r * r * r, _SIXTH * w * w * w
-        weights[1, n] = _TWO_THIRDS - w * w * (_ONE - _HALF * w)
-        weights[2, n] = _TWO_THIRDS - r * r * (_ONE - _HALF * r)
-    _interpolate(coefficients.reshape(-1), np.uint64(columns), scratch)
+    for first in range(0, x.size, _AT_ONCE):
+        _interpolate(coefficients, np.int32(columns), x, y, first, scratch.light)
 
 
-@inlined
-def _interpolate(flat: Image, stride: np.uint64, scratch: Scratch) -> None:
-    """Interpolate the light from the flat coefficients about the pixels in `scratch`."""
-    weights, light = scratch.weights, scratch.light
-    for n in range(light.size):
-        corner = np.uint64(scratch.above[n] - 1) * stride + np.uint64(scratch.left[n] - 1)
-        above, at, below, beyond = weights[0, n], weights[1, n], weights[2, n], weights[3, n]
-        light[n] = _neighbourhood_sum(flat, corner, stride, scratch.fraction[n], above, at, below, beyond)
+def _load(builder: Any, pointer: Any, kind: Any) -> Any:
+    return builder.load(builder.bitcast(pointer, kind.as_pointer()), align=4)
 
 
-def _sum_in_vectors(
-    _context: Any, flat: Any, _corner: Any, _stride: Any, _fraction: Any, _w0: Any, _w1: Any, _w2: Any, _w3: Any
-) -> Any:
-    """Describe to Numba how to add four rows of four neighbours as vectors, not number by number."""
+def _picked(builder: Any, a: Any, b: Any, lanes: Iterable[int]) -> Any:
+    """Numbers of two vectors one after the other."""
+    chosen = [_INDEX(n) for n in lanes]
+    return builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(_INDEX, len(chosen)), chosen))
 
-    def repeated(builder: Any, number: Any) -> Any:
-        nothing = ir.Constant(_FOUR_FLOATS, ir.Undefined)
-        first = builder.insert_element(nothing, number, _INDEX(0))
-        return builder.shuffle_vector(first, nothing, ir.Constant(ir.VectorType(_INDEX, 4), [0] * 4))
 
-    def sum_of(builder: Any, total: Any, a: Any, b: Any) -> Any:
-        return builder.fadd(total, builder.fmul(a, b, flags=FAST_MATH), flags=FAST_MATH)
+def _joined(builder: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
+    """One vector of four with four numbers each."""
+    return _picked(builder, _picked(builder, a, b, range(8)), _picked(builder, c, d, range(8)), range(16))
+
+
+def _add_product(builder: Any, total: Any, a: Any, b: Any) -> Any:
+    return builder.fadd(total, builder.fmul(a, b, flags=FAST_MATH), flags=FAST_MATH)
+
+
+def _cubic(builder: Any, t: Any, coefficients: Iterable[list[float]]) -> Any:
+    """Cubic polynomials of t, each with its coefficients."""
+    value, *others = (ir.Constant(_FLOATS, [float(np.float32(c)) for c in each]) for each in coefficients)
+    for other in others:
+        value = _add_product(builder, other, value, t)
+    return value
+
+
+def _parted(builder: Any, position: Any, first: Any) -> tuple[Any, Any]:
+    """Pixels before some positions, and fractions of a pixel."""
+    px = _load(builder, builder.gep(position, [first]), _FLOATS)
+    whole = builder.fptosi(px, _INDICES)
+    return whole, builder.fsub(px, builder.sitofp(whole, _FLOATS))
+
+
+def _interpolate_in_vectors(_context: Any, image: Any, _columns: Any, x: Any, y: Any, _first: Any, light: Any) -> Any:
+    """Describe to Numba how to interpolate 16 pixels from `first` on, in vectors of four pixels' four neighbours.
+
+    Left to itself, the compiler adds number by number, or gathers neighbours one by one.
+    """
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        data = context.make_array(signature.args[0])(context, builder, arguments[0]).data
-        corner, stride, fraction, *weights = arguments[1:]
-        total = ir.Constant(_FOUR_FLOATS, [0.0] * 4)
-        for weight in weights:
-            row = builder.load(builder.bitcast(builder.gep(data, [corner]), _FOUR_FLOATS.as_pointer()), align=4)
-            total = sum_of(builder, total, row, repeated(builder, weight))
-            corner = builder.add(corner, stride)
-        t = repeated(builder, fraction)
-        cubic, *others = (ir.Constant(_FOUR_FLOATS, [float(np.float32(c)) for c in row]) for row in _SPLINE)
-        for other in others:
-            cubic = sum_of(builder, other, cubic, t)
-        columns = builder.fmul(total, cubic, flags=FAST_MATH)
-        a, b, c, d = (builder.extract_element(columns, _INDEX(n)) for n in range(4))
-        return builder.fadd(builder.fadd(a, c, flags=FAST_MATH), builder.fadd(b, d, flags=FAST_MATH), flags=FAST_MATH)
+        data, x, y, light = (
+            context.make_array(signature.args[n])(context, builder, arguments[n]).data for n in (0, 2, 3, 5)
+        )
+        columns, first = arguments[1], arguments[4]
+        (left, along), (above, across) = _parted(builder, x, first), _parted(builder, y, first)
+        one = ir.Constant(_INDICES, [1] * _AT_ONCE)
+        stride = _picked(builder, builder.insert_element(one, columns, _INDEX(0)), one, [0] * _AT_ONCE)
+        corner = builder.add(builder.mul(builder.sub(above, one), stride), builder.sub(left, one))
+        weights = [_cubic(builder, across, [[c[row]] * _AT_ONCE for c in _SPLINE]) for row in range(4)]
+        steps = [builder.zext(builder.mul(columns, _INDEX(row)), _ADDRESS) for row in range(4)]
+        found = []
+        for pixels in (range(n, n + 4) for n in range(0, _AT_ONCE, 4)):
+            places = [builder.zext(builder.extract_element(corner, _INDEX(n)), _ADDRESS) for n in pixels]
+            corners = [builder.gep(data, [place]) for place in places]
+            repeated = [n for n in pixels for _ in range(4)]
+            total = ir.Constant(_FLOATS, [0.0] * _AT_ONCE)
+            for step, weight in zip(steps, weights, strict=True):
+                row = _joined(builder, *(_load(builder, builder.gep(each, [step]), _FOUR) for each in corners))
+                total = _add_product(builder, total, row, _picked(builder, weight, weight, repeated))
+            of_columns = _cubic(builder, _picked(builder, along, along, repeated), [[*c] * 4 for c in _SPLINE])
+            total = builder.fmul(total, of_columns, flags=FAST_MATH)
+            for distance in (1, 2):
+                other = _picked(builder, total, total, [n ^ distance for n in range(_AT_ONCE)])
+                total = builder.fadd(total, other, flags=FAST_MATH)
+            found.append(_picked(builder, total, total, range(0, _AT_ONCE, 4)))
+        place = builder.bitcast(builder.gep(light, [first]), _FLOATS.as_pointer())
+        builder.store(_joined(builder, *found), place, align=4)
+        return context.get_dummy_value()
 
-    return types.float32(flat, types.uint64, types.uint64, *[types.float32] * 5), generate
+    return types.void(image, types.int32, x, y, types.intp, light), generate
 
 
-_neighbourhood_sum = cast("Callable[..., np.float32]", intrinsic(_sum_in_vectors))
+_interpolate = cast("Callable[..., None]", intrinsic(_interpolate_in_vectors))
