@@ -244,11 +244,13 @@ class Acquisition(Commands):
                 self._update_status(instrument)
                 while not self._stopping.is_set():
                     self._keep_alive(_ALIVE_S)
-                    if execute := self.commands.next(0.0 if devices.camera.is_running else _IDLE_S):
+                    execute = self.commands.next(0.0 if devices.camera.is_running else _IDLE_S)
+                    while execute is not None:  # also at the end: the light stays off, and none is refused
                         self._keep_alive(_COMMAND_S)
                         with self.timings.of("command"):
                             execute(instrument)
-                    elif not devices.camera.is_running:
+                        execute = self.commands.next()
+                    if not devices.camera.is_running:
                         self._poll_status(instrument)
                     else:
                         self._show_alive()
