@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.commands import options, terminal
-from app.errors import RunError
+from app.errors import InputError, RunError
 from app.progress import counted
 
 if TYPE_CHECKING:
@@ -43,6 +44,7 @@ def batch(
 
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
+    _require_recording(recordings)
     from app.batch.run import check_batch, run_batch
     from app.batch.store import BatchJob
     from app.batch.workers import workers as start
@@ -61,6 +63,17 @@ def batch(
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
     if lost := sum(map(len, done.damaged.values())):
         raise RunError(f"{counted(lost)} damaged and left out")
+
+
+def _require_recording(folders: list[Path]) -> None:
+    """Raise `InputError` if none of these folders holds a recording, before the slow imports."""
+    from app.recording.folder import read_run
+
+    for folder in folders:
+        with suppress(InputError):
+            read_run(folder)
+            return
+    read_run(folders[0])
 
 
 def print_batch(batch: Batch, out: Path) -> None:

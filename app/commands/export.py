@@ -33,6 +33,7 @@ def export(
 
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
+    options.check_recording(recording)
     options.check_files(out, sources=[recording], suffixes=EXPORT_FORMATS[to][1], overwrite=overwrite)
     with terminal.analysing(recording, out) as progress:
         count = export_recording(recording, to, out, frames, progress)

@@ -13,7 +13,7 @@ from typer.core import TyperCommand, TyperOption
 
 from app.bench.presets import PRESETS
 from app.errors import InputError
-from app.files import atomic_write, check_outputs, check_suffix, require_suffix
+from app.files import atomic_write, check_outputs, check_readable, check_suffix, require_suffix
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,6 +100,19 @@ def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     from app.bench.bench_files import bench_file
 
     return (bench_file(bench), *loaded.files)
+
+
+def check_recording(folder: Path) -> None:
+    """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+    from app.recording.folder import read_run
+
+    read_run(folder)
+
+
+def check_images(*images: Path | None) -> None:
+    """Raise `InputError` if one of these files cannot be read."""
+    for image in filter(None, images):
+        check_readable(image)
 
 
 def check_files(

@@ -48,6 +48,7 @@ def reconstruct(
     from reconstruction.errors import ReconstructionError
 
     loaded = options.load(bench, setting)
+    options.check_images(frame, reference, dark)
     reads = (frame, reference, dark, *options.files_of_bench(bench, loaded))
     options.check_files(out, reads=reads, suffixes=(".nc",), plot=plot, overwrite=overwrite)
     image, reference_image, dark_image = _read_images(frame, reference, dark, loaded.camera_model.bits)

@@ -35,6 +35,7 @@ def report(
 
     Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
     """
+    options.check_recording(recording)
     sources = [recording, *([] if beside is None else [beside])]
     options.check_files(out, sources=sources, overwrite=overwrite)
     require_suffix(out, ".pdf", ".png")

@@ -15,7 +15,9 @@ from app.results.dataset import result_dataset, stack_frames
 from app.results.result_file import write_results
 from app.results.shown_wavefront import DisplayOptions, StoredWavefront, Unit, WavefrontDisplay, with_views
 from reconstruction.arrays import Floats
+from reconstruction.displacement import LensletStatus
 from reconstruction.geometry import Field
+from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront, without_piston
 
 U, V = np.meshgrid(np.linspace(-1, 1, 27)[1::2], np.linspace(-1, 1, 19)[1::2])  # lenslet centres over the half width
@@ -77,7 +79,9 @@ def test_lenslet_lost_in_one_frame_keeps_the_mean_of_the_others() -> None:
     first, second = bowl(), bowl(1000.0)
     valid = np.ones(U.shape, np.bool_)
     valid[2, 0] = False
-    lossy = replace(second, solution=replace(second.solution, valid=valid))  # type: ignore[arg-type] # its solution has one
+    outcome = np.where(valid, second.displacement.outcome, LensletStatus.DARK)
+    displacement = replace(second.displacement, outcome=outcome)
+    lossy = replace(second, displacement=displacement, solution=ZonalSolution(SENSOR, displacement))
     x_m, y_m = np.meshgrid(SENSOR.pupil_x_m, SENSOR.pupil_y_m)
     shape = 1e6 * (x_m**2 + y_m**2)
     tilted = np.where(valid, shape + 1000 * x_m, np.nan)

@@ -94,7 +94,7 @@ def test_error_bars_of_the_distance_cover_systematic_errors() -> None:
     for seed in range(draws):
         error = 0.00165 * np.random.default_rng(seed).normal(size=(len(parameters), len(parameters)))
         mixed = np.einsum("kxq,kj,jyp,rcpy->rcqx", parameters, error, parameters, clean, optimize=True)
-        layer = search_layers(prepared(displacement(noisy(clean + mixed, seed)))).fit.layers[0]
+        layer = search_layers(FrameEquations(prepared, displacement(noisy(clean + mixed, seed)))).fit.layers[0]
         pulls.append((layer.ratio - ratio) / layer.ratio_sigma)
     assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4  # 2.5 standard errors of 20 draws
 
