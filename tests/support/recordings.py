@@ -74,13 +74,18 @@ def edit_line(recording: Recording, index: int, **changes: Any) -> None:
 
 def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
     """Change the pixels of a frame, as if these had been recorded."""
-    frames = zarr.open_group(recording.folder / STORE, mode="r+")[PIXELS]
-    assert isinstance(frames, zarr.Array)
-    frames[index] = pixels
+    replace_values(recording, index, PIXELS, pixels)
     path = recording.folder / "frames.jsonl"
     lines = path.read_text().splitlines(keepends=True)
     lines[index] = re.sub('"crc32": "[0-9a-f]{8}"', f'"crc32": "{checksum(pixels)}"', lines[index])
     path.write_text("".join(lines))
+
+
+def replace_values(recording: Recording, index: int, name: str, values: NDArray[Any]) -> None:
+    """Change the recorded values of a frame in an array."""
+    frames = zarr.open_group(recording.folder / STORE, mode="r+")[name]
+    assert isinstance(frames, zarr.Array)
+    frames[index] = values
 
 
 def remove_coefficients(recording: Recording, index: int) -> None:

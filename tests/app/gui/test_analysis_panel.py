@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
-from support.gui_bench import BENCH, FakeCamera, make_measurement
+from support.gui_bench import BENCH, FIELD, SENSOR, FakeCamera, make_measurement
 from support.patience import HANG_S
 from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
@@ -20,7 +21,9 @@ from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import PRESENTATIONS, colour_table
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
+from reconstruction.displacement import LensletStatus
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
+from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront
 
 KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5)
@@ -145,10 +148,9 @@ def test_lost_wavefront_clears_maps_and_plots(make_window: MakeWindow, qtbot: Qt
 
 def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    unknown = bowl()
-    unknown.views[:] = np.nan
-    unknown.solution.valid[:] = False  # type: ignore[union-attr] # a zonal one
-    unknown.displacement.outcome[:] = 3
+    displacement = bowl().displacement
+    lost = replace(displacement, outcome=np.full_like(displacement.outcome, LensletStatus.DIVERGED))
+    unknown = Wavefront.of(SENSOR, FIELD, lost, ZonalSolution(SENSOR, lost))
     show(window, unknown)
     panel = window.panels.wavefronts
     analysis = window.analyses.of[panel]

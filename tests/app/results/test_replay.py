@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from support.command_line import run
-from support.recordings import edit_line, record, remove_coefficients, replace_pixels
+from support.recordings import edit_line, record, remove_coefficients, replace_pixels, replace_values
 from support.records import frame_file
 
 from app.bench.config import write_bench
@@ -23,8 +23,6 @@ from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, RunError
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import SKIPPED, Measurement
-from app.recording.folder import STORE
-from app.recording.frame_array import FrameArray
 from app.recording.frame_lines import assumed_sample
 from app.recording.reader import Recording
 from app.recording.reprocess import reprocess
@@ -183,7 +181,7 @@ def test_tolerance_is_a_thousandth_of_sigma(mine: Recording, name: str, part: fl
         sigma = np.sqrt(made.registered.variance) if name == "displacement" else solution.coefficients_sigma
         at = np.unravel_index(np.nanargmax(sigma), sigma.shape)
         values[at] += part * 1e-3 * sigma[at]
-        FrameArray(mine.folder / STORE / "results" / "0" / name).write(5, values)
+        replace_values(mine, 5, f"results/0/{name}", values)
     verification = replayed(mine.folder, frames="5:6").verification
     assert verification is not None
     assert max(verification.largest.values())[0] == pytest.approx(part * 1e-3, rel=0.01)
@@ -193,7 +191,7 @@ def test_tolerance_is_a_thousandth_of_sigma(mine: Recording, name: str, part: fl
 def test_number_that_the_solution_fixes_is_compared_with_the_largest_sigma(mine: Recording) -> None:
     values = np.array(mine.coefficients(5))
     values[0, 0] += 1e-12  # the piston, whose sigma is 0
-    FrameArray(mine.folder / STORE / "results" / "0" / "coefficients").write(5, values)
+    replace_values(mine, 5, "results/0/coefficients", values)
     verification = replayed(mine.folder, must_match=True, frames="5:6").verification
     assert verification is not None
     assert max(verification.largest.values())[0] < TOLERANCE_SIGMA
