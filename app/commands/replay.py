@@ -37,9 +37,7 @@ def replay(
 
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
-    from app.recording.folder import read_run
-
-    read_run(recording)  # refused before anything is loaded that takes seconds
+    options.check_recording(recording)
     from app.recording.reader import Recording
     from app.results.replay import change_of, changed_bench
     from app.results.replay import replay as run
