@@ -135,6 +135,10 @@ def _left_windows() -> list[str]:
         return []
     QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete.value)
     gc.collect()
+    if QApplication.topLevelWidgets():  # a first analysis froze what was there, see `loading`
+        gc.unfreeze()
+        gc.collect()
+        gc.freeze()
     return [f"{type(each).__name__} {each.windowTitle()}".strip() for each in QApplication.topLevelWidgets()]
 
 

@@ -85,6 +85,10 @@ def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
         for impossible in (-1.0, float("nan")):
             with pytest.raises(svwfs.BadValue):
                 live.set_exposure(impossible)
+        live.set_light(False)
+        with pytest.raises(svwfs.BadValue, match="True or False, not 'off'"):
+            live.set_light("off")  # type: ignore[arg-type] # would light it
+        assert not next(iter(live)).light.is_on  # type: ignore[union-attr] # it was asked
         with pytest.raises((TypeError, ValueError)):
             live.set_light_current("much")  # type: ignore[arg-type] # no number
         assert next(iter(live)).frame is not None  # the worker goes on

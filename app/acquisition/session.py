@@ -23,7 +23,7 @@ from app.measurement.measurement import Measurement
 from app.measurement.offline_reconstructor import whole_number
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
-from drivers.interface import WrongState
+from drivers.interface import BadValue, WrongState
 from reconstruction.frame.linearity_fit import MeasuredLinearity
 
 T = TypeVar("T")
@@ -246,7 +246,9 @@ class LiveBench:
         """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
         if not on and not self._bench.has_manual_light:
             self._result(self._acquisition.switch_light_off())
-        self._changed(partial(self._acquisition.set_light_on, bool(on)))
+        if not isinstance(on, bool):  # "off" would light it
+            raise BadValue(f"the light is switched with True or False, not {on!r:.40}")
+        self._changed(partial(self._acquisition.set_light_on, on))
 
     def auto_expose(self) -> float:
         """Set exposure and light current so that the brightest lenslets fill 70 % of full scale; return the exposure.

@@ -81,7 +81,7 @@ def check_free(folder: Path) -> None:
             if all((parent / name).exists() for name in (RUN, FRAME_LINES)):
                 raise InputError(f"{folder}: lies in the recording {parent}: choose another folder")
         check_writable(folder)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # of a NUL in the name
         raise _unusable(folder, error) from error
 
 
@@ -104,7 +104,7 @@ def new_folder(wanted: Path) -> Path:
         numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
         renamed = any(wanted.parent.glob(f"{escape(wanted.name)}-*"))
         return next(folder for folder in chain([] if renamed else [wanted], numbered) if _is_made(folder))
-    except OSError as error:
+    except (OSError, ValueError) as error:
         raise _unusable(wanted, error) from error
 
 
@@ -122,8 +122,8 @@ def damaged_name(path: Path) -> Path:
     return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 
 
-def _unusable(folder: Path, error: OSError) -> InputError:
-    return InputError(f"{folder}: cannot be used: {error.strerror or error}")
+def _unusable(folder: Path, error: OSError | ValueError) -> InputError:
+    return InputError(f"{folder}: cannot be used: {getattr(error, 'strerror', None) or error}")
 
 
 def lock(file: IO[bytes]) -> None:

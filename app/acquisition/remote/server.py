@@ -138,8 +138,6 @@ class Server:
         self._heard_s = time.monotonic()
         for identity in [each for each, client in self._clients.items() if now_s > client.heard_s + _SILENT_S]:
             self._forget(identity)
-        if self._frames.error is not None and self._fault is None:
-            raise self._frames.error
         while self._done:
             self._answer(*self._done.popleft())
         if now_s > self._state_due_s:
@@ -158,7 +156,7 @@ class Server:
             client.heard_s = now_s
         if isinstance(message, Command):
             self._execute(identity, message)
-        elif isinstance(message, Hello) and client is None:
+        elif isinstance(message, Hello) and client is None and fits(message.pause_s, float) and message.pause_s >= 0:
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
             self._ask_for_frames()
             if message.takes_control and not self._controller:

@@ -65,7 +65,7 @@ class Publisher:
         self._facts: tuple[Calibration | None, str] | None = None
         self._subscriptions = set[bytes]()
         self._wakeup, self._closing = threading.Event(), threading.Event()
-        self.error: Exception | None = None  # that ended the thread
+        self._problem = ""  # the last one that was printed
 
     def take(self, measurement: Measurement, *, is_shown_only: bool = False) -> None:
         """Publish a measurement, or a routine's frame, which clients only show; returns at once."""
@@ -110,15 +110,16 @@ class Publisher:
 
     def _work(self, socket: "zmq.Socket[bytes] | None") -> None:
         is_last = False
-        try:
-            while not is_last:
-                self._wakeup.wait(self._wait_s)
-                self._wakeup.clear()
-                is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
+        while not is_last:
+            self._wakeup.wait(self._wait_s)
+            self._wakeup.clear()
+            is_last = self._closing.is_set()  # before the queue is emptied: what was taken before goes out
+            try:
                 self._publish_waiting(socket)
-        except Exception as error:  # noqa: BLE001 - the instrument ends with it
-            self.error = error
-            self._notify()
+            except Exception as error:  # noqa: BLE001 - of one frame; it is printed, once
+                if (problem := f"svwfs: a frame was not published: {error!r}\n") != self._problem:
+                    self._problem = problem
+                    sys.stderr.write(problem)
 
     @property
     def _wait_s(self) -> float:
@@ -135,8 +136,11 @@ class Publisher:
         if socket is not None:
             self._read_subscriptions(socket)
         is_due = time.monotonic() >= self._due_s
-        while self._waiting and (is_due or self._subscriptions):
-            taken = self._waiting.popleft()
+        while is_due or self._subscriptions:
+            try:
+                taken = self._waiting.popleft()
+            except IndexError:  # `take` drops measurements, too
+                break
             if socket is not None:
                 self._read_subscriptions(socket)
                 self._send_topics(socket, taken)
@@ -155,7 +159,7 @@ class Publisher:
         count, measurement, is_shown_only = taken.count, taken.measurement, taken.is_shown_only
         try:
             message = Message(own_frame(measurement, self._keep(count, measurement), is_shown_only=is_shown_only))
-        except RunError as error:
+        except Exception as error:  # noqa: BLE001 - of this frame, whose clients are told
             lean = Measurement(measurement.frame, None, f"this frame cannot be shown: {error}", measurement.counts)
             message = Message(own_frame(lean, {}, is_shown_only=is_shown_only))
         if self._ring is None or not self._ring.has_room_for(message):

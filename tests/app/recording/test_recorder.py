@@ -73,6 +73,12 @@ def test_recording_is_prepared_before_its_first_frame_and_without_zarr(tmp_path:
     assert made.stdout == "[] False\n", made.stderr
 
 
+@pytest.mark.parametrize("may_rename", [False, True])
+def test_folder_with_an_impossible_name_is_refused(may_rename: bool) -> None:
+    with pytest.raises(InputError, match="cannot be used: embedded null byte"):
+        Recorder(Timings()).start(Path("no\0name"), FACTS, may_rename=may_rename)
+
+
 def test_preparation_leaves_nothing_without_frames(tmp_path: Path, small_bench: SmallBench) -> None:
     recorder_ = Recorder(Timings())
     recorder_.take(replace(make_record(0, noisy_calibration(small_bench)).made, problem="dark"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -36,6 +37,8 @@ def test_strangers_are_not_heard(server: Server) -> None:
             [server.address.key.encode()],
             [b""],
             [server.address.key.encode(), encoded(Command(1, "shut_down"))],  # without a hello
+            [server.address.key.encode(), encoded(Hello("no number", True, "abc"))],  # type: ignore[arg-type] # wrong
+            [server.address.key.encode(), encoded(Hello("no time", True, math.nan))],
             [server.address.key.encode(), encoded(Bye()), b"more"],
         ]
         with context.socket(zmq.DEALER) as socket:
