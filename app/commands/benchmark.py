@@ -231,10 +231,10 @@ def print_figures(figures: LiveFigures) -> None:
         for each in figures.rows()
     ]
     notes = [f"Times are median / 99 % of the newest {KEPT} / longest since the recording began."]
-    notes += [f"Longest pause of the {pause}." for pause in span.pauses()]
     if recording is not None and recording.problem:
         notes.append(f"The recording ended early: {recording.problem}")
     terminal.print_table(None, ("live", "measured", "asked", ""), lines, notes)
+    terminal.print_table(None, ("longest pause", "ms", "meanwhile"), span.pauses())
     if span.processor_s and span.frames.acquired:
         _print_processor_times(span)
 

@@ -155,12 +155,11 @@ class Span:
             if thread.startswith(processor_time.DETECTOR) or (process, thread) == (processor_time.RENDERING, "")
         )
 
-    def pauses(self) -> Iterator[str]:
-        """Yield the longest pauses of acquisition, recorder and window with what ran meanwhile."""
+    def pauses(self) -> Iterator[tuple[str, str, str]]:
+        """Yield the longest pauses of acquisition, recorder and window, ms, with what ran meanwhile."""
         for who, stage in _PAUSES.items():
             if (found := self.times[stage]).count:
-                during = f", during {found.cause}" if found.cause else ""
-                yield f"{who}: {stage.replace('_', ' ')} {1e3 * found.max_s:.0f} ms{during}"
+                yield f"{who}: {stage.replace('_', ' ')}", f"{1e3 * found.max_s:.0f}", found.cause
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON."""

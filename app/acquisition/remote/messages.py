@@ -71,7 +71,7 @@ class NewStatus:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """What else there is to know of the instrument, but its frames."""
+    """State of the instrument besides its frames and its status."""
 
     activity: Activity
     counts: FrameTotals

@@ -257,9 +257,9 @@ class Server:
         return NewStatus(self.acquisition.bench, self.acquisition.status)
 
     def _tell_all(self, message: State | NewStatus) -> None:
-        told = encoded(message)
+        packed = encoded(message)
         for identity in self._clients:
-            self._socket.send_multipart([identity, told])
+            self._socket.send_multipart([identity, packed])
 
     def _tell(self, identity: bytes, *messages: object) -> None:
         for message in messages:
