@@ -108,9 +108,8 @@ def test_a_client_that_falls_silent_gets_no_news_until_it_says_hello(
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # the worker ends loudly
-@pytest.mark.parametrize("where", ["publish", "_answer"])
 def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
-    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch, where: str
+    fake_camera: FakeCamera, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     faults = list[Exception]()
 
@@ -119,11 +118,8 @@ def test_a_fault_of_the_instruments_end_switches_the_light_off_and_is_told(
 
     with served(fake_camera, faults=faults) as server, connected() as connection:
         newest(connection)
-        if where == "publish":
-            monkeypatch.setattr(server._frames, "_write", fail)
-        else:
-            monkeypatch.setattr(server, "_answer", fail)
-            connection.take_control()
+        monkeypatch.setattr(server, "_answer", fail)
+        connection.take_control()
         wait_until(lambda: not connection.is_alive)
         assert connection.failure == "OSError: no memory is left"
         wait_until(lambda: faults)
