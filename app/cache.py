@@ -19,8 +19,8 @@ import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
-from app.errors import RunError
-from app.files import atomic_write
+from app.errors import InputError, RunError
+from app.files import atomic_write, check_writable
 from reconstruction.arrays import reading_npy
 
 _KEPT = 400  # results of one kind; a third of a gigabyte of images
@@ -48,10 +48,11 @@ def cache_folder() -> Path:
     folder = Path(platformdirs.user_cache_dir("svwfs"))
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if os.access(folder, os.W_OK):
-            return folder
-    except OSError:  # no home folder, or a read-only one
+        check_writable(folder)
+    except (OSError, InputError):  # no home folder, or a read-only one
         pass
+    else:
+        return folder
     temporary = tempfile.mkdtemp(prefix="svwfs-")
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
     return Path(temporary)

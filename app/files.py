@@ -1,7 +1,9 @@
 """The one way to write any file: checked, atomic and durable."""
 
 import csv
+import errno
 import os
+import re
 import secrets
 import shutil
 import sys
@@ -10,12 +12,27 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from app.errors import InputError, RunError
+from reconstruction.runtime.renaming import rename
+
+if sys.platform == "win32":
+    import msvcrt
+else:
+    import fcntl
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL  # the last refuses a symbolic link
 _PARTIAL = ".partial"  # in the name of a file that is being written
+_REFUSALS = {
+    errno.EROFS: "the disk is read-only",
+    errno.EACCES: "no permission to write there",
+    errno.EPERM: "no permission to write there",
+}
 _MORE = 1 << 16  # bytes, for which a disk that was full has no room
 MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "biases", "calibrations")
+_FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')  # in a file name, on any system
+_DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[1-9\xb9\xb2\xb3]) *(\..*)?", re.IGNORECASE)
+_LOCKED_BYTE = 2**31 - 1  # msvcrt counts with 32 bits
+_LONG = 150  # letters of a path: Windows allows 259, of which names in a recording take up to 100
 
 
 def check_readable(path: Path) -> None:
@@ -52,13 +69,52 @@ def check_writable(folder: Path) -> None:
     existing = nearest_existing(folder)
     if not existing.is_dir():
         raise InputError(f"{existing}: not a folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        why = "the disk is read-only" if _is_read_only(existing) else "no permission to write there"
-        raise InputError(f"{existing}: {why}")
+    _check_names(folder)
+    trial = existing / f".{secrets.token_hex(8)}{_PARTIAL}"  # access lists and file servers tell in no other way
+    try:
+        os.close(os.open(trial, _NEW))
+        trial.unlink()
+    except OSError as error:
+        raise InputError(f"{existing}: {_REFUSALS.get(error.errno or 0) or in_words(error)}") from error
 
 
-def _is_read_only(folder: Path) -> bool:
-    return sys.platform != "win32" and bool(os.statvfs(folder).f_flag & os.ST_RDONLY)
+def _check_names(path: Path) -> None:
+    """Raise `InputError` if a part of a path cannot be a name under Windows, which may write elsewhere."""
+    for name in path.parts[bool(path.anchor) :] if sys.platform == "win32" else ():
+        if name != ".." and (problem := file_name_problem(name)):
+            raise InputError(f"{path}: the name {name} {problem}")
+
+
+def file_name_problem(name: str) -> str:
+    """Return why Windows allows no file or folder of this name; empty if it does."""
+    if found := _FORBIDDEN.search(name):
+        return f"cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
+    if name.endswith((".", " ")):
+        return "cannot end with a point or a space"
+    return "belongs to a device under Windows" if _DEVICE.fullmatch(name) else ""
+
+
+def reachable(path: Path) -> Path:
+    r"""Return a path, on Windows a long one with \\?\: without it 260 letters and more are not found."""
+    full = os.path.abspath(path)  # noqa: PTH100 - `Path.absolute` keeps "..", which is not allowed behind \\?\
+    if sys.platform != "win32" or len(full) < _LONG or full.startswith("\\\\?\\"):
+        return path
+    return Path("\\\\?\\UNC" + full[1:] if full.startswith("\\\\") else "\\\\?\\" + full)
+
+
+def has_locked(descriptor: int) -> bool:
+    """Lock an open file until it is closed or the process ends; False if another program has locked it."""
+    try:
+        if sys.platform != "win32":
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:  # nobody else can read a locked byte: one far behind the end
+            place = os.lseek(descriptor, 0, os.SEEK_CUR)
+            os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+            os.lseek(descriptor, place, os.SEEK_SET)
+    except (BlockingIOError, PermissionError):
+        return False
+    return True
 
 
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
@@ -83,6 +139,7 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
                 raise InputError(f"{path}: exists already; --overwrite replaces it")
             if not path.name or (path.exists() and not path.is_file()):
                 raise InputError(f"{path}: not a file that can be written")
+            _check_names(path)
             check_writable(path.parent)
         except OSError as error:
             raise InputError(f"{path}: cannot be used: {in_words(error)}") from error
@@ -129,14 +186,15 @@ def atomic_write(path: Path) -> Iterator[Path]:
     """
     if not path.name or (path.exists() and not path.is_file()):
         raise RunError(f"{path}: not a file that can be written")
-    temporary = path.with_name(f".{secrets.token_hex(8)}{_PARTIAL}{path.suffix}")
+    target = reachable(path)
+    temporary = target.with_name(f".{secrets.token_hex(8)}{_PARTIAL}{path.suffix}")
     try:
-        make_folder(path.parent)
+        make_folder(target.parent)
         os.close(os.open(temporary, _NEW, 0o666))
         try:
             yield temporary
             sync(temporary)
-            temporary.replace(path)
+            rename(temporary, target)
         except OSError as error:
             if error.errno is None:  # NumPy's "9 requested and 5 written": another write fails with a reason
                 with temporary.open("ab") as file:
@@ -144,7 +202,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
             raise
         finally:
             temporary.unlink(missing_ok=True)
-        sync(path.parent)
+        sync(target.parent)
     except OSError as error:
         raise RunError(f"{path}: cannot be written: {in_words(error)}") from error
 

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Floats, PointField, reading_npy
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.runtime.background import BackgroundProcess
+from reconstruction.runtime.renaming import rename
 from reconstruction.runtime.threads import THREADS
 from simulated_devices.optics.forward_model import ForwardModel, OnFraction
 from simulated_devices.optics.source import SourcePoints, source_points
@@ -201,7 +202,7 @@ class ImageCache:
         try:
             with part.open("wb") as file:
                 np.save(file, image)
-            part.replace(path)
+            rename(part, path)
         finally:
             with suppress(OSError):
                 part.unlink()  # remains after an error

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import Self
 
 from app.errors import InputError, RunError
+from app.files import file_name_problem, has_locked
+from reconstruction.runtime.renaming import rename
 
-if sys.platform == "win32":
-    import msvcrt
-else:
+if sys.platform != "win32":
     import fcntl
 
 NAME = "instrument"
@@ -58,7 +58,7 @@ class Address:
         part = file.with_suffix(".part")
         part.touch(mode=0o600)
         part.write_text(json.dumps(asdict(self)))
-        part.replace(file)
+        rename(part, file)
 
 
 def is_taken(name: str) -> bool:
@@ -102,7 +102,7 @@ def _lock(name: str, timeout_s: float) -> Iterator[None]:
         lock = os.open(file_of(name, "lock"), os.O_RDWR | os.O_CREAT, 0o600)
         stack.callback(os.close, lock)
         until_s = time.monotonic() + timeout_s
-        while not _has_locked(lock):
+        while not has_locked(lock):
             if time.monotonic() > until_s:
                 raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name")
             time.sleep(0.01)
@@ -110,18 +110,6 @@ def _lock(name: str, timeout_s: float) -> Iterator[None]:
             stack.callback(os.close, folder := os.open(runtime_folder(), os.O_RDONLY))
             fcntl.flock(folder, fcntl.LOCK_SH)
         yield
-
-
-def _has_locked(descriptor: int) -> bool:
-    """True if an open file could be locked."""
-    try:
-        if sys.platform != "win32":
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        else:
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-    except OSError:
-        return False
-    return True
 
 
 def bound_log(name: str) -> None:
@@ -144,6 +132,8 @@ def file_of(name: str, ending: str) -> Path:
     """Path of a file of an instrument; `InputError` if that cannot be its name."""
     if not name.isidentifier():
         raise InputError(f"an instrument cannot have the name {name!r}: use letters, digits and _")
+    if problem := file_name_problem(name):
+        raise InputError(f"an instrument cannot have the name {name!r}: it {problem}")
     return runtime_folder() / f"{name}.{ending}"
 
 

@@ -17,6 +17,7 @@ from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
 from app.run_facts import write_record
 from reconstruction.arrays import Floats, reading_npy
+from reconstruction.runtime.renaming import rename
 
 # RuntimeError: the archive is encrypted
 _DAMAGED = (OSError, ValueError, TypeError, KeyError, EOFError, MemoryError, RuntimeError, BadZipFile)
@@ -33,7 +34,7 @@ def write_calibration(folder: Path, calibration: Calibration) -> None:
         _write_average(temporary / "reference.npz", calibration.reference)
         if calibration.dark is not None:
             _write_average(temporary / "dark.npz", calibration.dark)
-        temporary.rename(folder)
+        rename(temporary, folder)
     except BaseException:
         shutil.rmtree(temporary, ignore_errors=True)
         raise

@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import sys
 from contextlib import suppress
 from glob import escape
 from itertools import chain, count
@@ -13,8 +12,17 @@ from typing import IO, Any
 from app.bench.bench_files import WRITTEN_BY_NEWER
 from app.bench.config import parse_bench
 from app.errors import InputError
-from app.files import RECORDING_PARTS, check_readable, check_writable, in_words
+from app.files import (
+    RECORDING_PARTS,
+    check_readable,
+    check_writable,
+    file_name_problem,
+    has_locked,
+    in_words,
+    reachable,
+)
 from app.run_facts import write_record
+from reconstruction.runtime.renaming import rename
 
 FORMAT = "svwfs recording 1"
 
@@ -100,7 +108,7 @@ def new_folder(wanted: Path) -> Path:
     """
     try:
         check_writable(wanted.parent)
-        wanted.parent.mkdir(parents=True, exist_ok=True)
+        reachable(wanted.parent).mkdir(parents=True, exist_ok=True)
         numbered = (wanted.with_name(f"{wanted.name}-{number}") for number in count(2))
         renamed = any(wanted.parent.glob(f"{escape(wanted.name)}-*"))
         return next(folder for folder in chain([] if renamed else [wanted], numbered) if _is_made(folder))
@@ -110,7 +118,7 @@ def new_folder(wanted: Path) -> Path:
 
 def _is_made(folder: Path) -> bool:
     try:
-        folder.mkdir()
+        reachable(folder).mkdir()
     except FileExistsError:
         return False
     return True
@@ -128,18 +136,11 @@ def _unusable(folder: Path, error: OSError | ValueError) -> InputError:
 
 def lock(file: IO[bytes]) -> None:
     """Lock an open file until it is closed or the process ends; `InputError` if it is locked already."""
-    if sys.platform == "win32":  # a locked file could not be read there
-        return
-    import fcntl  # noqa: PLC0415 - not there on Windows
-
-    try:
-        fcntl.flock(file.fileno(), fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        raise InputError(f"{file.name}: is still being recorded, or recovered by another program") from error
+    if not has_locked(file.fileno()):
+        raise InputError(f"{file.name}: is still being recorded, or recovered by another program")
 
 
 _STAMP = re.compile(r"\d{8}-\d{6}(-kept)?(-\d+)?(?=-|$)")  # of the folders that the window makes
-_FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')  # in a file name, on any system
 _LONGEST = 100  # letters of a name
 
 
@@ -150,7 +151,7 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
     an impossible name does not lose it. `InputError` if the recording is not finished, the name is impossible or taken,
     or the disk refuses.
     """
-    run = read_run(folder)
+    run = read_run(reachable(folder))
     if not run["complete"]:
         raise InputError(f"{folder}: is still being recorded: it gets its name afterwards")
     wanted = folder
@@ -164,15 +165,17 @@ def describe(folder: Path, *, name: str, note: str) -> Path:
         wanted = folder.with_name("-".join(filter(None, (kept, name))) or folder.name)
         if wanted != folder and wanted.exists():
             raise InputError(f"{wanted}: exists already: give another name")
-        return folder if wanted == folder else folder.rename(wanted)
+        if wanted != folder:
+            rename(reachable(folder), reachable(wanted))
     except OSError as error:
         raise InputError(f"{wanted}: cannot be given: {in_words(error)}") from error
+    return wanted
 
 
 def name_problem(name: str) -> str:
     """Return why a name cannot be given to a recording; empty if it can."""
-    if found := _FORBIDDEN.search(name):
-        return f"a name of a recording cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
+    if problem := file_name_problem(name):
+        return f"a name of a recording {problem}"
     if name.startswith("."):
         return "a name of a recording cannot begin with a point"
     return f"a name of a recording has at most {_LONGEST} letters" if len(name) > _LONGEST else ""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from app.bench.bench_files import written_by
 from app.bench.config import Bench, parse_bench
 from app.errors import InputError
-from app.files import check_readable
+from app.files import check_readable, reachable
 from app.measurement.calibration import Calibration
 from app.recording.calibration_files import read_array, read_calibration
 from app.recording.folder import (
@@ -49,7 +49,7 @@ class Recording:
     """
 
     def __init__(self, folder: Path | str) -> None:
-        self._folder = Path(folder)
+        self._folder = reachable(Path(folder))
         self._arrays: dict[str, FrameArray | None] = {}
         self.run = read_run(self._folder)  # contents of `run.json`
         self._ends = array("q", [0])  # end of each line, bytes; the first number is the start of the first line

@@ -1,8 +1,10 @@
 """Recovery of a recording after a crash, a power failure, a full disk or an incomplete copy."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
@@ -61,16 +63,16 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     Damaged frames in the middle stay, so that all others keep their index. Lines that leave `frames.jsonl` are kept in
     `frames.damaged.jsonl`. `InputError` if it is still being recorded.
     """
-    path = folder / FRAME_LINES
     try:
         recording = Recording(folder)
-        if not path.exists():
-            path.touch()
-        with path.open("rb" if recording.is_complete else "rb+") as file:  # a complete recording may be read-only
-            lock(file)
+        folder = recording.folder
+        if not (folder / FRAME_LINES).exists():
+            (folder / FRAME_LINES).touch()
+        with _locked(recording) as file:
             lines = file.read().splitlines(keepends=True)
-            found = Recovered(recording.is_complete, 0)
-            found.frames, found.put_aside = _put_in_place(recording, lines)
+        found = Recovered(recording.is_complete, 0)
+        found.frames, found.put_aside = _put_in_place(recording, lines)  # Windows replaces no file that is open
+        with _locked(recording):
             recording = Recording(folder)
             _examine(recording, found, progress)
             if not found.was_complete:
@@ -79,6 +81,14 @@ def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) ->
     except OSError as error:
         raise RunError(f"{error.filename or folder}: {error.strerror or error}") from error
     return found
+
+
+@contextmanager
+def _locked(recording: Recording) -> Iterator[IO[bytes]]:
+    mode = "rb" if recording.is_complete else "rb+"  # a complete recording may be read-only
+    with (recording.folder / FRAME_LINES).open(mode) as file:
+        lock(file)
+        yield file
 
 
 def _put_in_place(recording: Recording, lines: list[bytes]) -> tuple[int, str]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import os
 import shutil
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from app.errors import InputError, RunError
-from app.files import make_folder, sync
+from app.files import make_folder, reachable, sync
 from app.measurement.measurement import Gap, Measurement
 from app.recording.calibration_files import write_array, write_calibration
 from app.recording.folder import (
@@ -105,6 +104,7 @@ class RecordingWriter:
     """Writes one recording, from one thread; `facts` of bench and devices go into `run.json`."""
 
     def __init__(self, folder: Path, facts: Mapping[str, Any]) -> None:
+        folder = reachable(folder)
         check_free(folder)
         make_folder(folder)
         sync(folder.parent)
@@ -214,7 +214,7 @@ class RecordingWriter:
 def _create_lines(folder: Path) -> IO[bytes]:
     """Create and lock `frames.jsonl`; refused to the second of two programs that begin at the same moment."""
     try:
-        lines = (folder / FRAME_LINES).open("xb" if sys.platform == "win32" else "ab", buffering=0)
+        lines = (folder / FRAME_LINES).open("ab", buffering=0)
     except FileExistsError as error:
         raise InputError(f"{folder}: holds a recording already: {FRAME_LINES}") from error
     try:

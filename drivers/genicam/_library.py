@@ -5,6 +5,7 @@ Its GObject introspection would need PyGObject, which pip can only build with sy
 
 import ctypes
 import ctypes.util
+import importlib.util
 import sys
 from contextlib import suppress
 from ctypes import POINTER, c_char_p, c_double, c_int, c_int64, c_size_t, c_uint, c_uint32, c_uint64, c_void_p
@@ -14,10 +15,9 @@ from typing import Any, Final
 
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected, Unsupported, WrongState
 
-HOW_TO_INSTALL: Final = {
-    "darwin": "brew install aravis",
-    "win32": "MSYS2's mingw-w64-ucrt-x86_64-aravis, with its folder ucrt64\\bin in PATH",
-}.get(sys.platform, "sudo apt-get install libaravis-0.8-0")
+HOW_TO_INSTALL: Final = {"darwin": "brew install aravis", "win32": "the extra genicam of svwfs"}.get(
+    sys.platform, "sudo apt-get install libaravis-0.8-0"
+)
 
 STATUS_SUCCESS: Final = 0  # ArvBufferStatus
 PACKET_SOCKET_DISABLED: Final = 1  # ArvGvStreamOption
@@ -223,7 +223,8 @@ def load_aravis() -> Aravis:
 def load_library() -> tuple[ctypes.CDLL, ...]:
     """Load Aravis, and on Windows what it depends on: there a library exports only its own functions."""
     if sys.platform == "win32":
-        for path in filter(None, map(ctypes.util.find_library, _SEARCHED_ON_WINDOWS)):  # in PATH, unlike CDLL
+        searched = map(ctypes.util.find_library, _SEARCHED_ON_WINDOWS)  # in PATH, unlike CDLL
+        for path in filter(None, (*_packaged(), *searched)):
             prefix = Path(path).name.partition("aravis")[0]
             parts = (Path(path).with_name(f"{prefix}{part}-2.0-0.dll") for part in ("gobject", "glib"))
             with suppress(OSError):
@@ -234,6 +235,13 @@ def load_library() -> tuple[ctypes.CDLL, ...]:
             if found:
                 return (ctypes.CDLL(found),)
     raise Unsupported(f"GenICam cameras need the library Aravis 0.8, which is not installed: {HOW_TO_INSTALL}")
+
+
+def _packaged() -> list[str]:
+    """Path of the library in the package aravis-python, without its import, which needs PyGObject."""
+    package = importlib.util.find_spec("aravis")
+    folders = (package and package.submodule_search_locations) or ()
+    return [str(path) for folder in folders if (path := Path(folder, "bin", "aravis-0.8-0.dll")).exists()]
 
 
 def _text(value: Any) -> Any:

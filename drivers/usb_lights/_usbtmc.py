@@ -10,7 +10,10 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
 
+import usb.backend.libusb1
 import usb.core
 import usb.util
 from usb.backend import IBackend
@@ -49,13 +52,20 @@ def instruments(vendor_id: int, product_ids: Collection[int], backend: IBackend 
     """Return the instruments of this vendor and these products; reads only their serial numbers."""
     try:
         with _faults("the USB bus"):
-            devices = usb.core.find(find_all=True, idVendor=vendor_id, backend=backend)
+            devices = usb.core.find(find_all=True, idVendor=vendor_id, backend=backend or _backend())
             return [_identify(device) for device in devices if device.idProduct in product_ids]
     except usb.core.NoBackendError as error:
         raise Unsupported(
             "USB instruments need the library libusb 1.0; install it (Debian, Ubuntu: apt install libusb-1.0-0;"
-            " macOS: brew install libusb; Windows: put libusb-1.0.dll beside python.exe)"
+            " macOS: brew install libusb; Windows: the extra usb of svwfs)"
         ) from error
+
+
+def _backend() -> IBackend | None:
+    """The system's libusb, else that of the extra `usb`; None for pyusb's other libraries."""
+    if (system := usb.backend.libusb1.get_backend()) is not None or find_spec("libusb_package") is None:
+        return system
+    return usb.backend.libusb1.get_backend(find_library=import_module("libusb_package").find_library)
 
 
 def _identify(device: usb.core.Device) -> UsbInstrument:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import require
+from reconstruction.runtime.renaming import rename
 from simulated_devices.optics.forward_model import ForwardModel
 
 _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an efficient matrix product
@@ -31,7 +32,8 @@ def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: Poi
             block = slice(start, start + _BLOCK_POINTS)
             matrix[block] = model.point_irradiances(position_m[block], field)
         matrix.flush()
-        part.rename(path)
+        del matrix  # Windows renames no file that is open
+        rename(part, path)
     finally:
         part.unlink(missing_ok=True)
 

@@ -3,16 +3,27 @@
 from __future__ import annotations
 
 import errno
+import ntpath
 import os
+import re
 import resource
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.windows import refusing
 
 from app.errors import InputError, RunError
-from app.files import RECORDING_PARTS, atomic_write, check_outputs, check_suffix, check_writable, write_whole
+from app.files import (
+    RECORDING_PARTS,
+    atomic_write,
+    check_outputs,
+    check_suffix,
+    check_writable,
+    file_name_problem,
+    reachable,
+    write_whole,
+)
 from app.images import write_image
 
 IMAGE = np.arange(12, dtype=np.uint16).reshape(3, 4)
@@ -55,12 +66,51 @@ def test_full_disk_is_told_alike_by_images_and_texts(tmp_path: Path) -> None:
 
 
 def test_read_only_disk_is_called_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("os.access", lambda *_: False)
-    with pytest.raises(InputError, match=f"^{tmp_path}: no permission to write there$"):
-        check_writable(tmp_path / "new")
-    monkeypatch.setattr("os.statvfs", lambda _: SimpleNamespace(f_flag=os.ST_RDONLY | os.ST_NOSUID))
-    with pytest.raises(InputError, match=f"^{tmp_path}: the disk is read-only$"):
-        check_writable(tmp_path / "new")
+    for number, why in ((errno.EACCES, "no permission to write there"), (errno.EROFS, "the disk is read-only")):
+        monkeypatch.setattr("os.open", refusing(number))
+        with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))}: {why}$"):
+            check_writable(tmp_path / "new")
+
+
+def test_the_trial_leaves_nothing(tmp_path: Path) -> None:
+    check_writable(tmp_path / "new" / "er")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "name", ["CON", "nul.txt", "com1", "Lpt9.tar.gz", "aux .nc", "COM\xb2", "a.", "a ", *'<>:"|?*', "a\\b"]
+)
+def test_names_that_windows_forbids_are_known(name: str) -> None:
+    """ "Naming Files, Paths, and Namespaces" of Microsoft's documentation."""
+    assert file_name_problem(name)
+
+
+@pytest.mark.parametrize("name", ["run 7.nc", "console.txt", "com10", "nulls", ".hidden", "a.b", "20261128-120000-con"])
+def test_other_names_are_possible(name: str) -> None:
+    assert not file_name_problem(name)
+
+
+def test_windows_refuses_such_an_output_and_linux_does_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = tmp_path / "a:b" / "nul.nc"
+    check_outputs([output], overwrite=False)
+    monkeypatch.setattr("app.files.sys.platform", "win32")
+    with pytest.raises(InputError, match=r"the name a:b cannot contain :$"):
+        check_outputs([output], overwrite=False)
+    with pytest.raises(InputError, match=r"the name nul.nc belongs to a device under Windows$"):
+        check_outputs([tmp_path / ".." / output.name], overwrite=False)
+    check_outputs([tmp_path / ".." / "new.nc"], overwrite=False)
+
+
+def test_long_paths_are_extended_on_windows_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """ "Maximum Path Length Limitation" of Microsoft's documentation."""
+    monkeypatch.setattr("os.path.abspath", ntpath.normpath)
+    short, long, shared = (Path(text) for text in ("C:\\run", "C:\\x\\..\\" + "a" * 200, "\\\\server\\" + "a" * 200))
+    assert reachable(long) == long
+    monkeypatch.setattr("app.files.sys.platform", "win32")
+    assert reachable(short) == short
+    assert str(reachable(long)) == "\\\\?\\C:\\" + "a" * 200
+    assert str(reachable(shared)) == "\\\\?\\UNC\\server\\" + "a" * 200
+    assert reachable(reachable(long)) == reachable(long)
 
 
 def test_outputs_never_replace_inputs(tmp_path: Path) -> None:

@@ -432,8 +432,8 @@ class RecordingBar(QFrame):
 
 
 def _recordings_folder(saved: QSettings | None) -> Path:
-    """Return the folder that was chosen last, unless it has gone, else one in the user's documents."""
+    """Return the folder that was chosen last, unless it has gone, else one that no cloud synchronises."""
     chosen = None if saved is None else saved.value(_FOLDER)
     if isinstance(chosen, str) and answer(Path(chosen).is_dir, otherwise=True):
         return Path(chosen)
-    return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.DocumentsLocation) or ".") / "svwfs"
+    return Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.HomeLocation) or ".") / "svwfs"

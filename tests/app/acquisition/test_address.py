@@ -50,7 +50,7 @@ def test_a_place_belongs_to_one_instrument() -> None:
         Address.of()
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a b", "a/b"])
+@pytest.mark.parametrize("name", ["", "../x", "a b", "a/b", "con", "COM1"])
 def test_names_that_are_no_words_are_refused(name: str) -> None:
     with pytest.raises(InputError, match="cannot have the name"), taken_address(name):
         pass

@@ -57,7 +57,7 @@ def test_opened_recording_is_found_under_its_new_name(tmp_path: Path) -> None:
         opened.line(0)
 
 
-@pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "a\\b", "x" * 101, 'a"b'])
+@pytest.mark.parametrize("name", ["a/b", "..", ".hidden", "a\\b", "x" * 101, 'a"b', "a.", "CON", "nul.txt"])
 def test_impossible_name_is_refused(tmp_path: Path, name: str) -> None:
     folder = finished(tmp_path / "20261122-130100")
     with pytest.raises(InputError, match="a name of a recording"):

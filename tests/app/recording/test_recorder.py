@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import math
 import os
 import subprocess
@@ -16,6 +17,7 @@ from support.optics import SmallBench
 from support.paths import ROOT
 from support.patience import HANG_S, wait_until
 from support.records import FACTS, make_frame, make_record, noisy_calibration, wait, write
+from support.windows import refusing
 
 from app.errors import InputError, RunError
 from app.measurement.measurement import FrameTotals, Gap, Measurement
@@ -201,7 +203,7 @@ def test_impossible_folder_is_refused_before_measuring(tmp_path: Path, monkeypat
     ):
         with pytest.raises(InputError, match=said):
             Recorder(Timings()).start(folder, FACTS)
-    monkeypatch.setattr("os.access", lambda *_: False)  # as in another user's folder
+    monkeypatch.setattr("os.open", refusing(errno.EACCES))  # as in another user's folder
     with pytest.raises(InputError, match="no permission to write there"):
         Recorder(Timings()).start(tmp_path / "new" / "er", FACTS)
     assert list(tmp_path.iterdir()) == [tmp_path / "file"]

@@ -20,6 +20,7 @@ import zarr
 from support.command_line import run
 from support.optics import SmallBench
 from support.records import RANDOM, SHAPE, frame_file, make_record, make_records, noisy_calibration, write
+from support.windows import renaming_refuses_open_files
 
 import svwfs
 from app.commands.recover import print_recovered
@@ -216,6 +217,16 @@ def test_lines_of_a_copy_that_was_cut_short_are_listed(tmp_path: Path, calibrati
         Recording(tmp_path / "r").line(9)
     for text in path.read_text().splitlines():
         json.loads(text)  # standard JSON
+
+
+def test_lines_are_replaced_while_nothing_has_them_open(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows replaces no open file."""
+    write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
+    lines = (tmp_path / "r" / "frames.jsonl").read_bytes()
+    (tmp_path / "r" / "frames.jsonl").write_bytes(lines + b"{")
+    renaming_refuses_open_files(monkeypatch)
+    assert recover(tmp_path / "r").frames == 3
+    assert (tmp_path / "r" / "frames.jsonl").read_bytes() == lines
 
 
 def test_put_aside_lines_are_never_overwritten(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@ import ctypes
 import ctypes.util
 import itertools
 import threading
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -119,25 +120,33 @@ def test_missing_library_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -
         discover()
 
 
-def test_functions_are_found_in_the_libraries_of_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There Aravis exports no functions of GLib, which lies beside it in a folder of PATH."""
+@pytest.mark.parametrize("is_packaged", [True, False])
+def test_functions_are_found_in_the_libraries_of_windows(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, *, is_packaged: bool
+) -> None:
+    """There Aravis exports no functions of GLib, which lies beside it in a folder of PATH or of aravis-python."""
     try:
         load_aravis()
     except Unsupported:
         pytest.skip("the extra genicam is not installed")
-    folder = "/msys64/ucrt64/bin"
+    folder = tmp_path / "aravis" / "bin"
+    prefix = "" if is_packaged else "lib"
     exported = {
-        "libaravis-0.8-0.dll": ("arv_",),
-        "libgobject-2.0-0.dll": ("g_object_", "g_value_"),
-        "libglib-2.0-0.dll": ("g_",),
+        f"{prefix}aravis-0.8-0.dll": ("arv_",),
+        f"{prefix}gobject-2.0-0.dll": ("g_object_", "g_value_"),
+        f"{prefix}glib-2.0-0.dll": ("g_",),
     }
+    folder.mkdir(parents=True)
+    for name in exported:
+        (folder / name).touch()
+    (folder.parent / "__init__.py").write_text("import gi")  # of PyGObject, which Windows has no wheel of
+    monkeypatch.syspath_prepend(str(tmp_path))
     real = load_library()[0]
 
     class Part:
         def __init__(self, path: str) -> None:
-            place, _, name = path.rpartition("/")
-            assert place == folder
-            self.own = exported[name]
+            assert Path(path).parent == folder
+            self.own = exported[Path(path).name]
 
         def __getattr__(self, name: str) -> object:
             if name.startswith(self.own):
@@ -145,7 +154,7 @@ def test_functions_are_found_in_the_libraries_of_windows(monkeypatch: pytest.Mon
             raise AttributeError(name)
 
     def find(name: str) -> str | None:
-        return f"{folder}/{name}.dll" if f"{name}.dll" in exported else None
+        return str(folder / f"{name}.dll") if not is_packaged and f"{name}.dll" in exported else None
 
     monkeypatch.setattr(ctypes, "CDLL", Part)
     monkeypatch.setattr(ctypes.util, "find_library", find)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import sys
+from collections.abc import Callable, Iterable
+from importlib.machinery import ModuleSpec
+from types import ModuleType
 
 import pytest
 import usb.backend.libusb0
@@ -227,9 +230,25 @@ def test_instrument_in_update_mode_is_unsupported(wire: Echo, clock: ManualClock
 
 def test_missing_libusb_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     for backend in (usb.backend.libusb1, usb.backend.openusb, usb.backend.libusb0):
-        monkeypatch.setattr(backend, "get_backend", lambda: None)
+        monkeypatch.setattr(backend, "get_backend", lambda **_: None)
     with pytest.raises(Unsupported, match=r"apt install libusb-1\.0-0"):
         usbtmc.instruments(0x1313, {0x80C8})
+
+
+def test_libusb_comes_from_the_extra_where_the_system_has_none(
+    wire: Echo, clock: ManualClock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = ModuleType("libusb_package")
+    package.__spec__ = ModuleSpec("libusb_package", None)
+    vars(package)["find_library"] = str.upper
+    monkeypatch.setitem(sys.modules, "libusb_package", package)
+    bus = Bus(Plug(wire, "M1"), clock=clock)
+
+    def get_backend(find_library: Callable[[str], str] | None = None) -> Bus | None:
+        return bus if find_library is not None and find_library("usb-1.0") == "USB-1.0" else None
+
+    monkeypatch.setattr(usb.backend.libusb1, "get_backend", get_backend)
+    assert [each.serial_number for each in usbtmc.instruments(0x1313, {0x80C8})] == ["M1"]
 
 
 def test_listing_instruments_sends_nothing(wire: Echo, clock: ManualClock) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
+from support.windows import renaming_refuses_open_files
 
 from reconstruction.arrays import PointField
 from reconstruction.geometry import Lattice
@@ -70,9 +71,10 @@ def assert_same(matrix: Path, model: ForwardModel, field: PointField | None) -> 
 
 
 def test_matrix_times_object_is_the_image_of_the_forward_model(
-    tmp_path: Path, model: ForwardModel, field: PointField, stored: Path
+    tmp_path: Path, model: ForwardModel, field: PointField, stored: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert_same(stored, model, field)
+    renaming_refuses_open_files(monkeypatch)
     write_matrix(tmp_path / "reference.npy", model, GRID.position_m)
     assert_same(tmp_path / "reference.npy", model, None)
 

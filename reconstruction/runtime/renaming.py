@@ -1,0 +1,24 @@
+"""Renaming of files that another program may hold for a moment."""
+
+import sys
+import time
+from pathlib import Path
+
+_HELD_S = 2.0
+
+
+def rename(source: Path, target: Path) -> None:
+    """Rename a file, which replaces `target`, or a folder.
+
+    On Windows a program that looks at a new file, such as a virus scanner, prevents this: tried again for two seconds.
+    """
+    until_s = time.monotonic() + _HELD_S
+    while True:
+        try:
+            source.replace(target)
+        except PermissionError:
+            if sys.platform != "win32" or time.monotonic() > until_s:
+                raise
+            time.sleep(0.01)
+        else:
+            return
