@@ -27,7 +27,7 @@ def held(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
 
 def test_windows_tries_again(tmp_path: Path, held: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renaming.sys, "platform", "win32")
+    monkeypatch.setattr("reconstruction.runtime.renaming.sys.platform", "win32")
     (tmp_path / "new").write_text("new")
     (tmp_path / "old").write_text("old")
     rename(tmp_path / "new", tmp_path / "old")
@@ -36,7 +36,7 @@ def test_windows_tries_again(tmp_path: Path, held: list[Path], monkeypatch: pyte
 
 
 def test_windows_gives_up_in_the_end(tmp_path: Path, held: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renaming.sys, "platform", "win32")
+    monkeypatch.setattr("reconstruction.runtime.renaming.sys.platform", "win32")
     monkeypatch.setattr(renaming, "_HELD_S", -1.0)
     with pytest.raises(PermissionError):
         rename(tmp_path, tmp_path / "other")
@@ -44,7 +44,7 @@ def test_windows_gives_up_in_the_end(tmp_path: Path, held: list[Path], monkeypat
 
 
 def test_other_systems_refuse_at_once(tmp_path: Path, held: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(renaming.sys, "platform", "linux")
+    monkeypatch.setattr("reconstruction.runtime.renaming.sys.platform", "linux")
     with pytest.raises(PermissionError):
         rename(tmp_path, tmp_path / "other")
     assert len(held) == 1
