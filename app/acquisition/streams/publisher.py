@@ -26,7 +26,7 @@ from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
 
 _WAITING = 8  # measurements that wait for the thread; beyond, the oldest is dropped
-_KEPT, _KEPT_AT_LEAST = 150, 16  # newest records of which clients may ask for more: 3 s of those for a window
+_KEPT, _KEPT_AT_LEAST = 50, 16  # newest records of which clients may ask for more: 2 s of those for a window
 _KEPT_BYTES = 1 << 26  # of pixels, that may make it fewer
 _SPARE = 1.5  # a slot's size over that of the first record which needs it
 _QUEUED = 30  # messages queued per subscriber, ten measurements; beyond, new ones are dropped for it
