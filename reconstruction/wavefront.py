@@ -1,6 +1,6 @@
 """The wavefront at every field position, with its error bars; RMS and low orders of wavefronts."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self, TypeAlias
@@ -13,6 +13,7 @@ from reconstruction.displacement import TRANSMISSION_MODES, Displacement
 from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
+from reconstruction.modes.polynomials import zernike
 from reconstruction.pictures import html, picture_of_views
 from reconstruction.runtime.deferred import Deferred
 from reconstruction.solve.modal import ModalSolution
@@ -149,24 +150,27 @@ def modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
 
 def without_tilt(phase: Floats, arrangement: Arrangement) -> Floats:
     """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
-    return without_low_orders(phase, tilt=True, defocus=False, arrangement=arrangement)
-
-
-def without_low_orders(phase: Floats, *, tilt: bool, defocus: bool, arrangement: Arrangement) -> Floats:
-    """Subtract piston and, where asked, tilt and defocus, ignoring NaN.
-
-    From wavefronts (..., lenslet_row, lenslet_column), rad. Defocus is the paraboloid u^2 + v^2 about the middle of the
-    lattice; it is fitted together with the tilt, whether that is subtracted or not.
-    """
-    if not (tilt or defocus):
-        return without_piston(phase)
     u, v = np.moveaxis(lenslet_centers(arrangement, *phase.shape[-2:]), -1, 0)
-    terms = np.stack([np.ones_like(u), u, v, *([u**2 + v**2] * defocus)])
-    terms /= np.sqrt(np.mean(terms**2, axis=(1, 2), keepdims=True))
+    return _without_terms(phase, np.stack([np.ones_like(u), u, v]), [1, 2])
+
+
+def without_zernikes(phase: Floats, numbers: Iterable[int], sensor: Sensor) -> Floats:
+    """Subtract piston and Zernike modes by Noll's numbers, ignoring NaN.
+
+    From wavefronts (..., lenslet_row, lenslet_column), rad. All modes up to the last one are fitted together to all
+    known lenslets. Their circle is inscribed in the lattice.
+    """
+    if not (removed := [number - 1 for number in numbers]):
+        return without_piston(phase)
+    x, y = np.moveaxis(sensor.lenslet_centers_m / min(sensor.pupil_half_width_m), -1, 0)
+    return _without_terms(phase, zernike(max(removed) + 1, x, y), removed)
+
+
+def _without_terms(phase: Floats, terms: Floats, removed: list[int]) -> Floats:
+    """Fit terms (term, lenslet_row, lenslet_column) together, and subtract some of them and the piston."""
+    terms = terms / np.sqrt(np.mean(terms**2, axis=(1, 2), keepdims=True))
     known = np.isfinite(phase)
     normal = np.tensordot(known.astype(np.float64), terms[:, None] * terms, axes=((-2, -1), (-2, -1)))
     moments = np.tensordot(np.where(known, phase, 0), terms, axes=((-2, -1), (-2, -1)))
-    fitted = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., 0]
-    if not tilt:
-        fitted[..., 1:3] = 0
-    return without_piston(phase - np.tensordot(fitted, terms, axes=1))
+    fitted = (np.linalg.pinv(normal, hermitian=True) @ moments[..., None])[..., removed, 0]
+    return without_piston(phase - np.tensordot(fitted, terms[removed], axes=1))

@@ -14,10 +14,13 @@ from app.results.sources import mean_of_frames, modes_of, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes
-from reconstruction.wavefront import Wavefront, without_low_orders, without_piston
+from reconstruction.modes.polynomials import zernike_names
+from reconstruction.wavefront import Wavefront, without_piston, without_zernikes
 
 MOST_AVERAGED = 100
 MOST_VIEWS = 9  # along each side
+REMOVABLE = dict(enumerate(zernike_names(28)[1:], 2))  # names of Zernike modes, by Noll's numbers
+_TILT = frozenset({2, 3})
 _SAME_RAD = 1e-3  # beyond rounding
 
 
@@ -88,8 +91,7 @@ class StoredWavefront:
 class DisplayOptions:
     """Options of the display; the defaults show the wavefront of every frame as it is."""
 
-    without_tilt: bool = False
-    without_defocus: bool = False
+    removed: frozenset[int] = frozenset()  # Zernike modes, by Noll's numbers
     stored: StoredWavefront | None = None  # subtracted
     averaged: int = 1  # number of frames
     views: int | None = None  # along each side of a square grid; None: those of the bench
@@ -97,9 +99,10 @@ class DisplayOptions:
     @property
     def in_words(self) -> str:
         """The options other than the defaults, for a caption; empty without any."""
+        tilt = _TILT if self.removed >= _TILT else frozenset[int]()
+        removed = [*["tilt"] * bool(tilt), *(REMOVABLE[number].split()[0] for number in sorted(self.removed - tilt))]
         parts = (
-            "no tilt" * self.without_tilt,
-            "no defocus" * self.without_defocus,
+            f"no {', '.join(removed)}" * bool(removed),
             "" if self.stored is None else f"minus {self.stored.name}",
             f"mean of {self.averaged} frames" * (self.averaged > 1),
         )
@@ -125,10 +128,8 @@ class WavefrontDisplay:
             shown = replace(shown, views=without_piston(StoredWavefront.of(wavefront, "mean", by_mode).at(field)))
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
-        if options.without_tilt or options.without_defocus:
-            removed = {"tilt": options.without_tilt, "defocus": options.without_defocus}
-            views = without_low_orders(shown.views, **removed, arrangement=wavefront.sensor.arrangement)
-            shown = replace(shown, views=views)
+        if options.removed:
+            shown = replace(shown, views=without_zernikes(shown.views, options.removed, wavefront.sensor))
         return shown
 
     def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:

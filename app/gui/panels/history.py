@@ -150,9 +150,9 @@ class HistoryPanel(Panel):
         }
 
     def export_csv(self) -> None:
-        name = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
-        if name is not None:
-            path, history = name.with_suffix(".csv"), deepcopy(self.history)  # it goes on meanwhile
+        path = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")
+        if path is not None:
+            history = deepcopy(self.history)  # it goes on meanwhile
             tell = partial(self.informed.emit, f"saved {path}")
             self._files.run(partial(history.write_csv, path), lambda _: tell(), writes=str(path))
 

@@ -53,6 +53,7 @@ class DisplayState(QObject):
         self.levels: tuple[float, float] | None = None  # counts that are black and white in the camera picture
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
+        self.options = ""  # of the display, in words
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()

@@ -39,11 +39,14 @@ class QualityPanel(Panel):
         if wavefront is None or view is None:
             return None
 
+        options = self.shown.options
+
         def compute(_: Check) -> tuple[str, Mtf, Isoplanatism]:
             at_m = float(wavefront.field.view_x_m[view[1]]), float(wavefront.field.view_y_m[view[0]])
-            return position_texts(*at_m)[1], mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)
+            where = ", ".join(filter(None, (position_texts(*at_m)[1], options)))
+            return where, mtf(wavefront.views[view], wavefront.sensor), isoplanatism(wavefront)
 
-        return Request(wavefront, (view, wavefront.field), compute, SLOWER_S)
+        return Request(wavefront, (view, wavefront.field, options), compute, SLOWER_S)
 
     def show_result(self, result: tuple[str, Mtf | None, Isoplanatism | None]) -> None:
         where, transfer, found = result
@@ -51,6 +54,8 @@ class QualityPanel(Panel):
         self.structure.show_structure(found)
         if found is not None:
             sentence = verdict(found)
+            if self.shown.options:  # which do not apply to it
+                sentence = f"Of the wavefronts as measured: {sentence[0].lower()}{sentence[1:]}"
             self.sentence.setText(sentence)
             self.sentence.setToolTip(
                 f"{sentence}.\nThe correction is the mean wavefront of the field. The isoplanatic patch ends\n"

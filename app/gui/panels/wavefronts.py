@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QAction, QActionGroup
+from PyQt6.QtGui import QAction, QActionGroup, QMouseEvent
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.files import check_outputs
@@ -29,6 +29,7 @@ from app.results.dataset import write_shown
 from app.results.shown_wavefront import (
     MOST_AVERAGED,
     MOST_VIEWS,
+    REMOVABLE,
     DisplayOptions,
     StoredWavefront,
     Unit,
@@ -76,7 +77,7 @@ class WavefrontPanel(Panel):
         self.menu.store.triggered.connect(self._store)
         self.menu.file.triggered.connect(self._choose_file)
         self.menu.enlarge.triggered.connect(self.enlarge)
-        self.display_button = Button("Display", "Tilt, defocus, mean, unit, views")
+        self.display_button = Button("Display", "Remove modes, subtract, mean, unit, views")
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
         self.grid.selected.connect(shown.choose_view)
@@ -197,14 +198,14 @@ class WavefrontPanel(Panel):
         if shown is None or status is None:
             self.warned.emit("there is no wavefront to export")
             return
-        name = ask_file(self, "Export the shown wavefronts", "wavefronts.png", "Picture (*.png)")
-        if name is None:
-            return
-        path, results = name.with_suffix(".png"), name.with_suffix(".nc")
         picture, bench, options = self.grab().toImage(), status.bench, self.menu.options.in_words
+        path = ask_file(self, "Export the shown wavefronts", "wavefronts.png", "Picture (*.png)", ".nc")
+        if path is None:
+            return
+        results = path.with_suffix(".nc")
 
         def write() -> None:
-            check_outputs([results], overwrite=path.exists())  # the dialog asked about the picture
+            check_outputs([path, results], overwrite=True)  # parts of a recording are never replaced
             write_picture(path, picture)
             write_shown(results, shown, bench, options=options)
 
@@ -246,6 +247,7 @@ class WavefrontPanel(Panel):
 
     def _apply_options(self) -> None:
         self._display.options, self.shown.unit = self.menu.options, self.menu.unit
+        self.shown.options = self.menu.options.in_words
         self._redraw()
 
     def _redraw(self) -> None:
@@ -309,6 +311,14 @@ def _positions(field: Field) -> dict[tuple[int, int], tuple[str, ...]]:
     return {(i, j): position_texts(x_m[j], y_m[i]) for i, j in np.ndindex(len(y_m), len(x_m))}
 
 
+class _StayingMenu(QMenu):
+    """Stays open while several of its entries are ticked."""
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        if event is not None and (action := self.actionAt(event.pos())) is not None:
+            action.trigger()
+
+
 class DisplayMenu(QMenu):
     """Chooses what is removed from the shown wavefront, its unit and its views."""
 
@@ -320,12 +330,14 @@ class DisplayMenu(QMenu):
         self.options, self.unit = DisplayOptions(), Unit.RAD
         self.enlarge = self._add("Enlarge the selected view", "Also by a double click")
         self.addSeparator()
-        self.tilt, self.defocus = self._add("Remove tilt"), self._add("Remove defocus")
-        for action, option in ((self.tilt, "tilt"), (self.defocus, "defocus")):
-            action.setObjectName(f"view/{option}")  # its state is kept between two starts
+        remove = _StayingMenu("Remove", self)
+        self.addMenu(remove)
+        self.removed = {mode: QAction(name, remove) for mode, name in REMOVABLE.items()}
+        for mode, action in self.removed.items():
+            action.setObjectName(f"view/without {mode}")  # its state is kept between two starts
             action.setCheckable(True)
-            action.toggled.connect(lambda on, option=option: self.change(**{f"without_{option}": on}))
-        self.addSeparator()
+            action.toggled.connect(lambda _, mode=mode: self.change(removed=self.options.removed ^ {mode}))
+            remove.addAction(action)
         self.store = self._add("Subtract the present wavefront", "The mean, if frames are averaged")
         self.file = self._add("Subtract a wavefront from a file ...", "Results of svwfs with coefficients")
         self.clear_stored = self._add("Subtract nothing", "Show the whole wavefront")

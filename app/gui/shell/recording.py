@@ -372,8 +372,9 @@ class RecordingBar(QFrame):
         self._run(self.report, command, begin, end, lambda: self._show(out))
 
     def _export(self, to: Format, folder: Path) -> None:
-        what, (suffix, *_) = EXPORT_FORMATS[to]
-        name = ask_file(self, what, str(folder.with_name(f"{folder.name}{suffix}")), f"*{suffix}")
+        what, suffixes = EXPORT_FORMATS[to]
+        proposed = str(folder.with_name(f"{folder.name}{suffixes[0]}"))
+        name = ask_file(self, what, proposed, " ".join(f"*{suffix}" for suffix in suffixes))
         if name is not None:  # the dialog has asked whether to replace it
             command = "export", folder, "--to", to, "--out", name, "--overwrite"
             self._run(self.export, command, f"exporting {folder.name}", f"exported to {name}")

@@ -1,15 +1,17 @@
 """Copies of what is shown: a context menu for the clipboard, and picture files."""
 
+import re
 from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QBuffer, QPoint, Qt
 from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
-from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
+from PyQt6.QtWidgets import QFileDialog, QMenu, QMessageBox, QWidget
 
 from app.errors import RunError
 from app.files import write_whole
+from app.gui.widgets.file_work import answer
 from reconstruction.arrays import Floats
 
 
@@ -48,10 +50,35 @@ def _copy_picture(widget: QWidget) -> None:
         clipboard.setPixmap(widget.grab())
 
 
-def ask_file(parent: QWidget, title: str, proposed: str, kinds: str) -> Path | None:
-    """Ask for the name of a file to write; None if the user does not want to."""
-    name, _ = QFileDialog.getSaveFileName(parent, title, proposed, kinds)
-    return Path(name) if name else None
+def ask_file(parent: QWidget, title: str, proposed: str, kinds: str, *also: str) -> Path | None:
+    """Ask for the name of a file to write, and whether existing files may be replaced; None if the user refuses.
+
+    Without a suffix, the name gets that of the proposed one; `also` are suffixes of files that are written with it.
+    """
+    unasked = QFileDialog.Option.DontConfirmOverwrite  # Qt would ask about the name without its suffix
+    name, _ = QFileDialog.getSaveFileName(parent, title, proposed, kinds, "", unasked)
+    if not name:
+        return None
+    path, suffix = Path(name), Path(proposed).suffix
+    if f"*{path.suffix.lower()}" not in re.split(r"[ ()]", kinds):
+        if path.suffix.strip(".0123456789"):  # of another kind; ".5" ends a number
+            box = _box(parent, f"{path.name} would not be what its name says. End the name with {suffix}.")
+            box.addButton(QMessageBox.StandardButton.Ok)
+            box.exec()
+            return None
+        path = path.with_name(f"{path.name}{suffix}")
+    existing = [one.name for one in (path, *map(path.with_suffix, also)) if answer(one.exists, otherwise=True)]
+    if not existing:
+        return path
+    box = _box(parent, f"{' and '.join(existing)} exist{'s' * (len(existing) == 1)} already. Replace?")
+    replace = box.addButton("Replace", QMessageBox.ButtonRole.DestructiveRole)
+    box.setDefaultButton(box.addButton(QMessageBox.StandardButton.Cancel))
+    box.exec()
+    return path if box.clickedButton() is replace else None
+
+
+def _box(parent: QWidget, text: str) -> QMessageBox:
+    return QMessageBox(QMessageBox.Icon.Warning, "svwfs", text, parent=parent)
 
 
 def write_picture(path: Path, picture: QPixmap | QImage) -> None:

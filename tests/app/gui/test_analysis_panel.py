@@ -70,6 +70,23 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
         assert panel._summary.text()
 
 
+def test_quality_says_which_wavefront_each_of_its_numbers_is_of(make_window: MakeWindow, qtbot: QtBot) -> None:
+    """The display options apply to the MTF; the single correction is that of the whole wavefront."""
+    window = make_window()
+    menu, quality = window.panels.wavefronts.menu, window.panels.quality
+    show(window, bowl())
+    qtbot.waitUntil(lambda: quality.mtf.title.text() == "MTF at 0, 0 mm")
+    before = quality.sentence.text()
+    assert before.startswith("A single correction would leave ")
+    menu.store.trigger()
+    assert menu.options.stored is not None
+    name = menu.options.stored.name
+    qtbot.waitUntil(lambda: quality.mtf.title.text() == f"MTF at 0, 0 mm, minus {name}")
+    assert quality.sentence.text() == f"Of the wavefronts as measured: {before[0].lower()}{before[1:]}"
+    menu.clear_stored.trigger()
+    qtbot.waitUntil(lambda: quality.sentence.text() == before)
+
+
 def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     window.panels.wavefronts.choice.setCurrentText(Quantity.PSF)

@@ -63,15 +63,15 @@ def choose(qtbot: QtBot, menu: QMenu | None, *texts: str) -> None:
 def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     panel, menu = window.panels.wavefronts, window.panels.wavefronts.menu
     whole = shown(window).copy()
-    choose(qtbot, menu, "Remove tilt")
+    choose(qtbot, menu, "Remove", "Z2 tilt along x")
     flat = shown(window).copy()
     assert np.ptp(flat[1, 1, 4]) == pytest.approx(np.ptp(flat[1, 1, 4, :7]))  # symmetric about the middle
     assert np.ptp(whole[1, 1, 4]) > np.ptp(whole[1, 1, 4, :7]) + 1
-    choose(qtbot, menu, "Remove defocus")
+    choose(qtbot, menu, "Remove", "Z4 defocus")
     np.testing.assert_allclose(shown(window), 0, atol=1e-9)
-    assert panel._summary.text().endswith("; no tilt, no defocus")
-    choose(qtbot, menu, "Remove defocus")
-    choose(qtbot, menu, "Remove tilt")
+    assert panel._summary.text().endswith("; no Z2, Z4")
+    choose(qtbot, menu, "Remove", "Z4 defocus")
+    choose(qtbot, menu, "Remove", "Z2 tilt along x")
     choose(qtbot, menu, "Unit", "nm")
     np.testing.assert_allclose(shown(window), whole * SENSOR.wavelength_m * 1e9 / (2 * np.pi))
     assert panel.grid.maps is not None
@@ -81,6 +81,18 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     assert shown(window).shape[:2] == (5, 5)
     qtbot.waitUntil(lambda: len(panel.grid.captions) == 25)
     assert panel.grid.captions[4, 0][1][0] == "x \N{MINUS SIGN}0.50  y +0.50 mm"
+
+
+def test_menu_of_removed_modes_stays_open_for_the_next(window: MainWindow, qtbot: QtBot) -> None:
+    menu = window.panels.wavefronts.menu
+    remove = next(action.menu() for action in menu.actions() if action.text() == "Remove")
+    assert remove is not None
+    remove.popup(QPoint(0, 0))
+    for mode in (2, 3):
+        click(qtbot, remove, remove.actionGeometry(menu.removed[mode]).center())
+    assert remove.isVisible()
+    assert menu.options.removed == {2, 3}
+    remove.close()
 
 
 def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, qtbot: QtBot) -> None:
@@ -138,8 +150,8 @@ def test_unsuitable_file_is_refused_in_words(
 
 def test_options_apply_to_analysed_quantities(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.wavefronts
-    panel.menu.tilt.setChecked(True)
-    panel.menu.defocus.setChecked(True)
+    for mode in (2, 3, 4):
+        panel.menu.removed[mode].setChecked(True)
     panel.choice.setCurrentText(Quantity.PSF)
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
     maps = shown(window)

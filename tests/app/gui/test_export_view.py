@@ -11,7 +11,7 @@ from PyQt6.QtGui import QAction, QImage
 from PyQt6.QtWidgets import QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import SENSOR, FakeCamera
-from support.window_tools import MakeWindow
+from support.window_tools import MakeWindow, choose_button
 
 from app.bench.config import load_bench
 from app.gui.shell.main_window import MainWindow
@@ -30,7 +30,8 @@ def test_picture_and_results_are_those_that_are_shown(
     window, _ = live
     window.controls.start.click()
     qtbot.waitUntil(lambda: window.controls.start.text() == "Start")
-    window.panels.wavefronts.menu.tilt.trigger()
+    for number in (2, 3):
+        window.panels.wavefronts.menu.removed[number].trigger()
     window.panels.wavefronts.menu.change(views=2)
     export(window, monkeypatch, tmp_path / "seen.png")
     qtbot.waitUntil(lambda: f"Saved {tmp_path / 'seen.png'} and seen.nc" in window.messages.log)
@@ -50,15 +51,36 @@ def test_picture_and_results_are_those_that_are_shown(
 
 
 @pytest.mark.slow
-def test_existing_results_are_not_replaced_unasked(
+def test_existing_files_are_replaced_only_when_asked(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The name is typed without its suffix: the file dialog could not have asked."""
+    window, _ = live
+    for name in ("seen.nc", "seen.png"):
+        (tmp_path / name).write_text("mine")
+    asked = choose_button(monkeypatch, "Cancel")
+    export(window, monkeypatch, tmp_path / "seen")
+    assert asked == ["seen.png and seen.nc exist already. Replace? "]
+    assert {path.read_text() for path in tmp_path.iterdir()} == {"mine"}
+    choose_button(monkeypatch, "Replace")
+    export(window, monkeypatch, tmp_path / "seen")
+    qtbot.waitUntil(lambda: "Saved" in window.messages.log)
+    assert {path.name for path in tmp_path.iterdir() if path.read_bytes() != b"mine"} == {"seen.nc", "seen.png"}
+
+
+@pytest.mark.slow
+def test_names_with_numbers_stay_apart_and_other_suffixes_are_refused(
     live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, _ = live
-    (tmp_path / "seen.nc").write_text("mine")
-    export(window, monkeypatch, tmp_path / "seen.png")
-    qtbot.waitUntil(lambda: "seen.nc: exists already" in window.messages.log)
-    assert [path.name for path in tmp_path.iterdir()] == ["seen.nc"]
-    assert (tmp_path / "seen.nc").read_text() == "mine"
+    for name in ("tilt_0.5", "tilt_0.7"):
+        export(window, monkeypatch, tmp_path / name)
+        qtbot.waitUntil(lambda name=name: f"{name}.png and {name}.nc" in window.messages.log)  # type: ignore[misc] # mypy and defaults
+    asked = choose_button(monkeypatch, "OK")
+    export(window, monkeypatch, tmp_path / "shown.csv")
+    assert asked == ["shown.csv would not be what its name says. End the name with .png. "]
+    files = {f"tilt_0.{tenths}.{kind}" for tenths in (5, 7) for kind in ("png", "nc")}
+    assert {path.name for path in tmp_path.iterdir()} == files
 
 
 def test_nothing_to_export_is_announced(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:

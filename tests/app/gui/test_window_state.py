@@ -49,7 +49,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.panels.camera.colours.setCurrentText("inferno")
     first.panels.camera.contrast.setCurrentText("full range")
     menu = first.panels.wavefronts.menu
-    for action in (menu.tilt, menu.units[2], menu.grids[4], menu.averages[2]):
+    for action in (menu.removed[5], menu.units[2], menu.grids[4], menu.averages[2]):
         action.trigger()
     first.panels.coefficients.basis.setCurrentText("Legendre")
     first.panels.history.minutes.setCurrentText("10 min")
@@ -64,7 +64,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     assert second.panels.camera.lattice_toggle.isChecked()
     assert second.panels.camera.colours.currentText() == "inferno"
     assert second.panels.camera.contrast.currentText() == "full range"
-    assert second.panels.wavefronts.menu.options == DisplayOptions(without_tilt=True, views=4, averaged=5)
+    assert second.panels.wavefronts.menu.options == DisplayOptions(frozenset({5}), views=4, averaged=5)
     assert second.panels.wavefronts.menu.unit is Unit.NM
     assert second.panels.wavefronts.menu.units[2].isChecked()
     assert second.panels.coefficients.basis.currentData() == "legendre"

@@ -62,10 +62,12 @@ def test_grid_of_a_single_view_covers_the_field() -> None:
 
 def test_tilt_and_defocus_are_removed_from_each_view() -> None:
     wavefront = growing()
-    tilted = show(DisplayOptions(without_defocus=True), wavefront)
-    np.testing.assert_allclose(show(DisplayOptions(without_tilt=True), wavefront)[2, 1], expected(-1.0), atol=1e-4)
-    both = show(DisplayOptions(without_tilt=True, without_defocus=True), wavefront)
+    tilted = show(DisplayOptions(frozenset({4})), wavefront)
+    np.testing.assert_allclose(show(DisplayOptions(frozenset({2, 3})), wavefront)[2, 1], expected(-1.0), atol=1e-4)
+    both = show(DisplayOptions(frozenset({2, 3, 4})), wavefront)
     np.testing.assert_allclose(tilted[2, 1] - both[2, 1], 2 * U * (1 + 0.5 / 0.6), atol=1e-4)
+    assert DisplayOptions(frozenset({2, 3, 5}), averaged=4).in_words == "no tilt, Z5, mean of 4 frames"
+    assert DisplayOptions(frozenset({3})).in_words == "no Z3"
 
 
 def test_mean_of_the_last_frames_is_shown() -> None:
