@@ -19,7 +19,7 @@ from app.timing import STAGES, StageTimes, TimedStage
 _LIBRARIES = ("svwfs", "numpy", "scipy", "numba", "opencv-python-headless", "PyQt6", "pyqtgraph")
 _CPU = Path("/proc/cpuinfo")
 _VERSION_PART = re.compile(r"\b\d{1,9}\b")
-_RUN = "import svwfs; svwfs.main()"
+MAIN = "import svwfs; svwfs.main()"  # what a Python runs to be this svwfs
 
 
 def now() -> str:
@@ -34,7 +34,7 @@ def software_facts() -> dict[str, Any]:
 
 def command_line(*arguments: str | Path) -> tuple[str, list[str]]:
     """Return program and arguments of a command of this svwfs, whatever lies in the working directory."""
-    return sys.executable, ["-P", "-c", _RUN, *map(str, arguments)]
+    return sys.executable, ["-P", "-c", MAIN, *map(str, arguments)]
 
 
 def machine_facts() -> dict[str, str | int]:

@@ -15,10 +15,8 @@ PACKAGES = ["app", "drivers", "reconstruction", "simulated_devices"]
 SOURCES = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
 MODULES = sorted({".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__") for path in SOURCES})
 PATHS_OF_ONE_SYSTEM = {
-    "app/acquisition/watchdog.py": {"/proc/"},
     "app/acquisition/streams/ring.py": {"/proc/"},
     "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
-    "app/evaluation/processor_time.py": {"/proc/"},
     "app/run_facts.py": {"/proc/cpuinfo"},
     "reconstruction/runtime/threads.py": {"/proc/self/task/"},
     "drivers/genicam/_library.py": {"/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"},
@@ -28,7 +26,7 @@ PATHS_OF_ONE_SYSTEM = {
 WITHOUT_POSIX = """
 import importlib, os, select, signal, socket, sys
 import cv2, h5netcdf, h5py, matplotlib.pyplot, numba, PyQt6.QtWidgets, pyqtgraph, rich, scipy.optimize, serial
-import serial.tools.list_ports, tifffile, typer, usb.core, xarray, zarr, zmq
+import psutil, serial.tools.list_ports, tifffile, typer, usb.core, xarray, zarr, zmq
 
 for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"):
     sys.modules[name] = None  # importing it fails

@@ -115,8 +115,10 @@ def _lock(name: str, timeout_s: float) -> Iterator[None]:
 def bound_log(name: str) -> None:
     """Empty the log of an instrument if it has grown too large."""
     with suppress(OSError):  # there is none
-        if (log := file_of(name, "log")).stat().st_size > _LOG_BYTES:
+        if (of_log := (log := file_of(name, "log")).stat()).st_size > _LOG_BYTES:
             os.truncate(log, 0)
+            if os.path.samestat(of_log, os.fstat(2)):  # on Windows this process would write where it stood
+                os.lseek(2, 0, os.SEEK_SET)
 
 
 def _clear(name: str) -> None:

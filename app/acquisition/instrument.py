@@ -6,7 +6,6 @@ take and return plain data; other threads see its frozen `Status`.
 
 from __future__ import annotations
 
-import subprocess
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -15,7 +14,6 @@ from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
 from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
-from app.acquisition.watchdog import stat_of
 from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, changes_in_words, with_known, write_bench
 from app.measurement.auto_exposure import AutoExposure, auto_expose
@@ -45,13 +43,13 @@ from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import Fault, Quality
+from reconstruction.runtime.child_process import Child, Condition, condition_of
 
 WINDOW = "live"  # command of the recordings of a window, and of those that name none
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
 
 ProcessName: TypeAlias = Literal["instrument", "watchdog", "background estimator"]
-Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,10 +61,9 @@ class ProcessState:
     condition: Condition
 
     @classmethod
-    def of(cls, name: ProcessName, process: subprocess.Popen[bytes]) -> Self:
-        """Look at a process that this one has started; only Linux tells that it was stopped."""
-        is_gone, is_stopped = process.poll() is not None, stat_of(process.pid)[:1] in (["T"], ["t"])
-        return cls(name, process.pid, "gone" if is_gone else "frozen" if is_stopped else "alive")
+    def of(cls, name: ProcessName, process: Child) -> Self:
+        """Look at a process that this one has started."""
+        return cls(name, process.pid, condition_of(process))
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +158,7 @@ class Instrument:
     def processes(self) -> tuple[ProcessState, ...]:
         """State of the processes that were started for it."""
         light, solver = self.devices.light, self._solver
-        started: dict[ProcessName, subprocess.Popen[bytes] | None] = {
+        started: dict[ProcessName, Child | None] = {
             "watchdog": light.watchdog if isinstance(light, WatchdogLight) else None,
             "background estimator": None if solver is None else solver.process,
         }

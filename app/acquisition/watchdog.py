@@ -18,12 +18,13 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import asdict
-from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from app.bench.device_kinds import DRIVERS
+from app.errors import ENDING
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
+from reconstruction.runtime.child_process import Parent, take_pipes
 
 PULSE_S = 0.25  # between two signs of life of the watchdog
 STARTING_PULSES = 240  # before the first one is heard: a cold disk takes long to import
@@ -33,48 +34,40 @@ _POLL_S = 0.05  # how late the end of a process whose pipe stays open is noticed
 _ATTEMPTS = 3  # to reach a light that could not be switched off
 
 
-def stat_of(process: int) -> list[str]:
-    """Return what Linux tells of a process, from its state on; else nothing."""
-    with suppress(OSError):
-        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return []
-
-
 class _Pipe:
     """The lines from and to the instrument; what libraries print goes to the error stream."""
 
     def __init__(self) -> None:
-        self._output: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
-        os.dup2(2, 1)
+        self._input, self._output = take_pipes()
         self._writing = threading.Lock()
-        self._lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._parent, self.has_ended = os.getppid(), False
+        self._lines: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._parent, self.has_ended = Parent(), False
         self._unanswered = self.pulses_in_call = -STARTING_PULSES
         for work in (self._read, self._pulse):
             threading.Thread(target=work, daemon=True).start()
 
     def send(self, answer: dict[str, Any]) -> None:
         with self._writing, suppress(OSError, ValueError):  # of an instrument that has ended
-            self._output.write(json.dumps(answer, default=asdict) + "\n")
+            self._output.write(json.dumps(answer, default=asdict).encode() + b"\n")
             self._output.flush()
 
-    def next(self, timeout_s: float) -> str:
+    def next(self, timeout_s: float) -> bytes:
         """Return the next line, or an empty one if none came in time or there are no more."""
         with suppress(queue.Empty):
             return self._lines.get(timeout=timeout_s)
-        if os.getppid() != self._parent:  # a process forked from it may hold the pipe open
+        if self._parent.has_ended:  # a process forked from it may hold the pipe open
             self.has_ended = True  # not False again: `_read` may have set it meanwhile
-        return ""
+        return b""
 
     def _read(self) -> None:
-        for line in sys.stdin:
+        for line in self._input:
             self._unanswered = 0
             self._lines.put(line)
         self.has_ended = True
-        self._lines.put("")
+        self._lines.put(b"")
 
     def _pulse(self) -> None:
-        worked = list[str]()
+        worked_s = 0.0
         while True:
             if self.pulses_in_call < _HANGING_PULSES:
                 self.send({"alive": True})
@@ -83,11 +76,11 @@ class _Pipe:
                 os._exit(1)
             self.pulses_in_call += 1
             time.sleep(PULSE_S)
-            before, worked = worked, stat_of(self._parent)[11:13]  # processor time
-            if worked != before:  # a thread that computes may let no other one answer: this is no freeze
+            before_s, worked_s = worked_s, self._parent.processor_s
+            if worked_s != before_s:  # a thread that computes may let no other one answer: this is no freeze
                 self._unanswered = min(self._unanswered, 0)
             if self._unanswered == _SILENT_PULSES:
-                self._lines.put('[0, "frozen"]')
+                self._lines.put(b'[0, "frozen"]')
 
 
 def _serve(light: LightSource, pipe: _Pipe) -> None:
@@ -156,10 +149,11 @@ def switch_off(settings: dict[str, Any]) -> None:
 
 def main() -> None:
     """Hold the light until the instrument closes it or ends."""
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))
+    for number in ENDING:
+        signal.signal(number, lambda *_: sys.exit(1))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the instrument decides
     pipe = _Pipe()
-    settings = json.loads(pipe.next(PULSE_S * 40) or "{}")
+    settings = json.loads(pipe.next(PULSE_S * 40) or b"{}")
     if not settings:
         return
     try:

@@ -23,6 +23,7 @@ from drivers import errors
 from drivers.device import Property, Range
 from drivers.errors import DeviceError
 from drivers.light_source import MAY_BE_ON, LightSource
+from reconstruction.runtime.child_process import Child, start_child
 
 _SILENT_PULSES = 5  # after so many missing signs of life the watchdog counts as frozen, or its light's call as hanging
 _ANSWER_S = 2.0  # after which a light counts as silent: most need a fraction of it
@@ -55,7 +56,7 @@ class WatchdogLight(LightSource):
             return found
 
     @property
-    def watchdog(self) -> subprocess.Popen[bytes]:
+    def watchdog(self) -> Child:
         """The process that holds the light."""
         return self._watchdog.process
 
@@ -113,14 +114,10 @@ class _Watchdog:
         self._writing = threading.Lock()
         self._has_ended = threading.Event()
         self._has_pulse = False
-        # In a session of its own: what the terminal sends to this process, such as Ctrl-C, does not reach it.
-        self.process = subprocess.Popen(  # noqa: S603 - this interpreter
+        self.process = start_child(
             # svwfs first: the folder of the user's script may have modules with the names of our packages
-            [sys.executable, "-P", "-c", f"import svwfs; from {watchdog.__name__} import main; main()"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env=os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
-            start_new_session=True,
+            f"import svwfs; from {watchdog.__name__} import main; main()",
+            environment={"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)},
         )
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._listen, self._watch)]
         for thread in self._threads:

@@ -6,8 +6,6 @@ parent ends. Messages are pickled, their arrays beside the rest: so they are not
 
 import os
 import pickle
-import subprocess
-import sys
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -17,6 +15,8 @@ from pathlib import Path
 from queue import SimpleQueue
 from threading import Thread
 from typing import IO, Any, NamedTuple, TypeAlias, cast
+
+from reconstruction.runtime.child_process import start_child, take_pipes
 
 NICENESS = 10  # of what must not delay frames
 _ROOT = str(Path(__file__).resolve().parents[2])
@@ -47,14 +47,10 @@ class BackgroundProcess:
         """The standard output of `work` goes to the standard error."""
         given = os.environ.get("PYTHONPATH", "").split(os.pathsep)
         search_path = os.pathsep.join([_ROOT, *filter(None, given)])  # an empty part is the working directory
-        self.process = subprocess.Popen(  # noqa: S603 - this interpreter
-            # -P: nothing from the working directory is imported
-            [sys.executable, "-P", "-c", f"from {__name__} import _run; _run({work.__module__!r}, {work.__name__!r})"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
-            creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # exists on Windows only
-            process_group=0,  # Ctrl-C ends the parent, and that this process; in a new session Linux ignores niceness
+        self.process = start_child(
+            f"from {__name__} import _run; _run({work.__module__!r}, {work.__name__!r})",
+            environment={"PYTHONPATH": search_path, "OPENBLAS_NUM_THREADS": "1"},
+            is_background=True,
         )
         self._messages, self._answers = cast("IO[bytes]", self.process.stdin), cast("IO[bytes]", self.process.stdout)
 
@@ -90,25 +86,22 @@ def _run(module: str, name: str) -> None:
     """Entry point of the child process: lower the priority, do the work, and end."""
     if hasattr(os, "nice"):
         os.nice(NICENESS)
-    answers = os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
+    messages, answers = take_pipes()
     arrived = SimpleQueue[Any]()
 
     def read() -> None:
-        # Not sys.stdin: its lock, held at exit, would make Python abort.
-        with os.fdopen(0, "rb", closefd=False) as messages:
-            while True:
-                try:
-                    rest, sizes = pickle.load(messages)  # noqa: S301 - our own parent wrote it
-                    arrays = [bytearray(size) for size in sizes]
-                    if any(messages.readinto(array) < len(array) for array in arrays):
-                        os._exit(0)
-                    arrived.put(pickle.loads(rest, buffers=arrays))  # noqa: S301 - our own parent wrote it
-                except (EOFError, pickle.UnpicklingError):  # closed, perhaps amid a message
+        while True:
+            try:
+                rest, sizes = pickle.load(messages)  # noqa: S301 - our own parent wrote it
+                arrays = [bytearray(size) for size in sizes]
+                if any(messages.readinto(array) < len(array) for array in arrays):
                     os._exit(0)
-                except Exception:  # noqa: BLE001 - the parent would wait for an answer
-                    traceback.print_exc()
-                    os._exit(1)
+                arrived.put(pickle.loads(rest, buffers=arrays))  # noqa: S301 - our own parent wrote it
+            except (EOFError, pickle.UnpicklingError):  # closed, perhaps amid a message
+                os._exit(0)
+            except Exception:  # noqa: BLE001 - the parent would wait for an answer
+                traceback.print_exc()
+                os._exit(1)
 
     def answer(result: object) -> None:
         pickle.dump(result, answers, pickle.HIGHEST_PROTOCOL)

@@ -19,7 +19,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.commands import Commands
-from app.acquisition.instrument import Activity, Condition, ProcessState, Status
+from app.acquisition.instrument import Activity, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Answer, Bye, Hello, NewStatus, State
 from app.acquisition.remote.pending_commands import ANSWER_S, PendingCommands
@@ -31,6 +31,7 @@ from app.errors import RunError
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.recorder import RecordingState
 from app.timing import Timings
+from reconstruction.runtime.child_process import Condition
 
 _COUNT = itertools.count(1)  # of connections of this process
 

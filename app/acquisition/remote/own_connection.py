@@ -1,8 +1,6 @@
 """The connection to the instrument of this window: closing it ends the instrument, unless its user lets it go on."""
 
-import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -12,6 +10,7 @@ from app.acquisition.address import Address
 from app.acquisition.remote.connection import Connection
 from app.bench.config import Bench
 from app.errors import RunError
+from reconstruction.runtime.child_process import Child, ask_to_end, crash_of
 
 _LOOK_S = 0.05  # between two looks for an instrument that starts
 _STARTS_S = 60.0  # on a busy computer
@@ -21,9 +20,7 @@ _ENDED_S = 0.5  # from the end of its connections to that of a process that cras
 class OwnConnection(Connection):
     """Ends the instrument when it is closed, unless that `goes_on` or another client controls it."""
 
-    def __init__(
-        self, bench: Bench, name: str, process: subprocess.Popen[bytes], *, log: Path, forget_bench: Callable[[], None]
-    ) -> None:
+    def __init__(self, bench: Bench, name: str, process: Child, *, log: Path, forget_bench: Callable[[], None]) -> None:
         """Begin to connect to a process that has just been started, and prints into the file `log`.
 
         `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
@@ -46,7 +43,7 @@ class OwnConnection(Connection):
         until_s = time.monotonic() + _STARTS_S
         while not self._is_announced():
             if self._closing.wait(_LOOK_S):
-                self.process.terminate()
+                ask_to_end(self.process)
                 return
             if self.process.poll() is not None:
                 printed = self._log.read_text(errors="replace").strip().splitlines()
@@ -62,14 +59,12 @@ class OwnConnection(Connection):
         """True if the process has the name, and its address is known; another one may have taken it."""
         with suppress(RunError):  # not yet
             self.address = Address.of(self.address.name)
-        # On Windows, the process of a virtual environment starts another one.
-        return bool(self.address.key) and (sys.platform == "win32" or self.address.process == self.process.pid)
+        return bool(self.address.key) and self.address.process == self.process.pid
 
     def _how_it_ended(self) -> str:
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(_ENDED_S)
-        code = self.process.returncode
-        return super()._how_it_ended() if code is None or code >= 0 else f"was ended by {signal.Signals(-code).name}"
+        return crash_of(self.process) or super()._how_it_ended()
 
     def begin_close(self) -> None:
         """End the instrument, light first, or leave it."""
@@ -79,7 +74,7 @@ class OwnConnection(Connection):
             if self._is_ending and super().is_alive:
                 self.end()
             elif self._is_ending:  # only this end has failed
-                self.process.terminate()
+                ask_to_end(self.process)
         super().begin_close()
 
     def close(self, timeout_s: float | None = None) -> None:

@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Self
 from app.acquisition.address import CLOSING_S, NAME, file_of, is_taken
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
-from app.run_facts import command_line
+from app.run_facts import MAIN
+from reconstruction.runtime.child_process import Child, ask_to_end, crash_of, start_child
 
 if TYPE_CHECKING:
     from app.acquisition.remote.own_connection import OwnConnection
@@ -30,7 +31,7 @@ class OwnInstrument:
     def __init__(self, name: str = NAME) -> None:
         self._name = name
         self._bench: Bench | None = None  # of the process
-        self._process: subprocess.Popen[bytes] | None = None
+        self._process: Child | None = None
         self._connection: OwnConnection | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="svwfs-", ignore_cleanup_errors=True)
 
@@ -54,7 +55,7 @@ class OwnInstrument:
                 self._log.unlink()
         self._folder.cleanup()
 
-    def start(self, bench: Bench) -> subprocess.Popen[bytes]:
+    def start(self, bench: Bench) -> Child:
         """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once.
 
         `RunError` if another instrument has the name.
@@ -72,19 +73,12 @@ class OwnInstrument:
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         file.parent.mkdir(mode=0o700, exist_ok=True)
         save_bench(file, bench)
-        program, arguments = command_line("serve", "--bench", file, "--name", self._name, "--idle")
+        arguments = ("serve", "--bench", str(file), "--name", self._name, "--idle")
         try:
             with self._log.open("ab") as log:  # another window may do the same at this moment
                 log.truncate(0)
-                self._process = subprocess.Popen(  # noqa: S603 - this program
-                    [program, *arguments],
-                    stdin=subprocess.DEVNULL,
-                    stdout=log,
-                    stderr=log,
-                    # Ctrl-C in the terminal ends the window, which decides what becomes of the instrument.
-                    start_new_session=True,
-                    creationflags=getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),  # exists on Windows only
-                )
+                log.seek(0)  # on Windows the process writes where this file stands
+                self._process = start_child(MAIN, *arguments, output=log)  # this window decides when it ends
         except OSError as error:
             raise RunError(f"the instrument's process cannot be started: {error}") from error
         return self._process
@@ -109,12 +103,12 @@ class OwnInstrument:
 
     def _tell_crash(self) -> None:
         """Print what a process said that a signal has ended: where it crashed."""
-        if self._process is not None and (self._process.poll() or 0) < 0:
+        if self._process is not None and self._process.poll() is not None and crash_of(self._process):
             sys.stderr.write(self._log.read_text(errors="replace"))
 
     def _end(self) -> None:
         """End a process that nobody has been connected to."""
         if self._process is not None and self._process.poll() is None:
-            self._process.terminate()
+            ask_to_end(self._process)
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(CLOSING_S)

@@ -2,9 +2,9 @@
 
 Each record has a count, higher than that of the record before. A slot has twice the count of its record, and an odd
 number while it is written. A reader copies a slot and looks at that before and after: what was overwritten meanwhile is
-not returned. Where Linux offers it the memory has no name, so that nothing stays behind
-when the writer is killed; readers open it by the writer's process. Elsewhere it is a file.
-A slow reader loses records and knows it; a dead one changes nothing.
+not returned. Nothing stays behind when the writer is killed: on Linux the memory has no name, and readers open it by
+the writer's process; on Windows it lasts while a process has it open. Elsewhere it is a file. A slow reader loses
+records and knows it; a dead one changes nothing.
 """
 
 import mmap
@@ -33,17 +33,22 @@ class RingWriter:
         self._slots, self._stride = slots, _SLOT_HEADER_BYTES + -(-slot_bytes // 64) * 64
         self._written = 0
         self._file: Path | None = None
+        self._descriptor = -1
         serial = secrets.token_hex(4)  # the next ring, or that of a process in a container, may get the same descriptor
         size = _HEADER_BYTES + slots * self._stride
         if sys.platform == "linux":
             self._descriptor = os.memfd_create("svwfs ring")
             self.name = f"/proc/{os.getpid()}/fd/{self._descriptor}#{serial}"
+        elif sys.platform == "win32":  # where a file that a reader has open could not be removed
+            self.name = f"svwfs-{os.getpid()}-{size}#{serial}"
+            self._memory = mmap.mmap(-1, size, tagname=self.name)
         else:
             self._file = file.with_name(f"{file.name}-{serial}")
             self._descriptor = os.open(self._file, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
             self.name = f"{self._file}#{serial}"
-        os.ftruncate(self._descriptor, size)
-        self._memory = mmap.mmap(self._descriptor, size)
+        if self._descriptor >= 0:
+            os.ftruncate(self._descriptor, size)
+            self._memory = mmap.mmap(self._descriptor, size)
         self._memory[: _FACTS.size] = _FACTS.pack(_MAGIC, slots, self._stride, serial.encode())
         self._view = memoryview(self._memory)
         self._count = np.ndarray((), np.uint64, self._view, _COUNT_AT)
@@ -69,7 +74,8 @@ class RingWriter:
         self._view.release()
         with suppress(BufferError):  # an array of it is alive
             self._memory.close()
-        os.close(self._descriptor)
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
         if self._file is not None:
             self._file.unlink(missing_ok=True)
 
@@ -79,11 +85,14 @@ class RingReader:
 
     def __init__(self, name: str) -> None:
         file, _, serial = name.rpartition("#")
-        descriptor = os.open(file, os.O_RDONLY)
-        try:
-            self._memory = mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
-        finally:
-            os.close(descriptor)
+        if sys.platform == "win32":  # memory of zeros if the ring is gone
+            self._memory = mmap.mmap(-1, int(file.rpartition("-")[2]), tagname=name, access=mmap.ACCESS_READ)
+        else:
+            descriptor = os.open(file, os.O_RDONLY)
+            try:
+                self._memory = mmap.mmap(descriptor, 0, access=mmap.ACCESS_READ)
+            finally:
+                os.close(descriptor)
         magic, self._slots, self._stride, found = _FACTS.unpack(self._memory[: _FACTS.size])
         expected = magic == _MAGIC and found == serial.encode()
         if not expected or len(self._memory) < _HEADER_BYTES + self._slots * self._stride:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,17 @@ def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPa
     clear_abandoned("instrument")
     left = sorted(each.name.partition("-")[0] for each in runtime_folder().iterdir())
     assert left == ["instrument.lock", "other.json", "other.ring"]
+
+
+def test_log_that_has_grown_begins_anew_without_zeros() -> None:
+    """As on Windows, the place where a process prints does not follow the end of the file."""
+    with file_of("instrument", "log").open("wb") as log:
+        log.write(b"much\n" * 250_000)
+        log.flush()
+        bound = "import sys; from app.acquisition.address import bound_log; bound_log('instrument')"
+        command = [sys.executable, "-c", f"{bound}; sys.stderr.write('again')"]
+        subprocess.run(command, check=True, stderr=log)  # noqa: S603 - this interpreter
+    assert file_of("instrument", "log").read_bytes() == b"again"
 
 
 def test_a_place_belongs_to_one_instrument() -> None:

@@ -20,13 +20,14 @@ from support.stand_ins.pseudo_terminal import PtyServer
 from support.stand_ins.serial import LineFault
 from support.watchdog_instrument import children, is_gone
 
-from app.acquisition.instrument import Condition, Instrument, ProcessState
+from app.acquisition.instrument import Instrument, ProcessState
 from app.acquisition.watchdog import switch_off
 from app.acquisition.watchdog_light import WatchdogLight
 from app.progress import run_in_thread
 from drivers.errors import BadValue, Busy, DeviceError, Disconnected, WrongState
 from drivers.interface import Devices, LightSource
 from drivers.serial_lights import DC4100Settings
+from reconstruction.runtime.child_process import Condition
 
 
 @pytest.fixture
@@ -284,7 +285,17 @@ def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: WatchdogL
     assert light.properties()["firmware"] == "1.8.4"
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere nobody tells that a process was stopped")
+def test_pipe_of_the_watchdog_is_no_standard_input(
+    reopen: Callable[[], LightSource], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """NumPy asks about the standard input; on Windows it would wait for the thread that reads the pipe."""
+    is_pipe = "__import__('stat').S_ISFIFO(__import__('os').fstat(0).st_mode)"
+    replace_method("properties", f"{{'is pipe': {is_pipe}}}", tmp_path, monkeypatch)
+    with reopen() as light:
+        assert light.properties() == {"is pipe": False}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there a process is suspended by other means")
 def test_process_is_alive_frozen_or_gone() -> None:
     with subprocess.Popen(["sleep", "600"]) as process:  # noqa: S607 - of every system
 

@@ -6,7 +6,9 @@ import os
 import signal
 import subprocess
 from collections.abc import Callable, Iterator
+from io import BufferedWriter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -100,6 +102,26 @@ def connection_of(window: MainWindow) -> OwnConnection:
     assert isinstance(connection, OwnConnection)
     assert connection.has_control
     return connection
+
+
+def test_log_begins_anew_and_tells_a_crash_of_windows(
+    small_toml: Path, runtime_folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On Windows a process writes where the file stood that it was given, and crashes with such a code."""
+    assert runtime_folder.is_dir()
+    file_of(NAME, "log").write_text("of the last one")
+    begun: list[int] = []
+
+    def start(*_: str, output: BufferedWriter) -> object:
+        begun.append(os.lseek(output.fileno(), 0, os.SEEK_CUR))
+        output.write(b"access violation")
+        return SimpleNamespace(poll=lambda: 0xC0000005, returncode=0xC0000005)
+
+    monkeypatch.setattr("app.acquisition.remote.own_instrument.start_child", start)
+    with OwnInstrument() as own:
+        own.start(load_bench(small_toml))
+    assert begun == [0]
+    assert capsys.readouterr().err == "access violation"
 
 
 @pytest.mark.long

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -36,6 +37,12 @@ def square(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
         answer(message**2)
 
 
+def standard_input(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
+    """Look at the standard input while a thread of the child reads the pipe."""
+    for _ in messages:
+        answer(stat.S_ISFIFO(os.fstat(0).st_mode))
+
+
 class Unreadable:
     """Cannot be read in the child."""
 
@@ -46,7 +53,8 @@ class Unreadable:
 @pytest.fixture(autouse=True)
 def _finds_this_module(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(_PLACES))
-    monkeypatch.setattr(square, "__module__", "test_background")
+    for work in (square, standard_input):
+        monkeypatch.setattr(work, "__module__", "test_background")
 
 
 def test_process_answers_at_low_priority(capfd: pytest.CaptureFixture[str]) -> None:
@@ -60,6 +68,13 @@ def test_process_answers_at_low_priority(capfd: pytest.CaptureFixture[str]) -> N
             assert os.getsid(pid) == os.getsid(0)  # niceness counts only there
             assert os.getpgid(pid) != os.getpgid(0)  # Ctrl-C does not reach it
     assert capfd.readouterr().err.count("no answer") == 2
+
+
+def test_pipe_is_no_standard_input() -> None:
+    """NumPy asks about the standard input when it is imported; on Windows it would wait for the thread that reads."""
+    with closing(BackgroundProcess(standard_input)) as process:
+        process.send(None)
+        assert process.receive() is False
 
 
 @pytest.mark.parametrize("kills", [True, False], ids=["killed", "unreadable message"])
