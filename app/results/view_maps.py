@@ -122,7 +122,6 @@ class Quantity(StrEnum):
     PSF = "PSF"
     RESIDUAL = "Residual"
     UNCERTAINTY = "Uncertainty"
-    TRANSMISSION = "Transmission"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,9 +129,9 @@ class ViewNumbers:
     """Two numbers of each view, (view_row, view_column), and one of all: rad, or ratios of a PSF."""
 
     quantity: Quantity
-    first: Floats  # RMS, Strehl ratio, mean of the standard deviations, or mean transmission
-    second: Floats  # peak to valley, peak, maximum, or mean standard error
-    mean: float  # of the RMS, of all standard deviations, or of the transmission; NaN for a PSF
+    first: Floats  # RMS, Strehl ratio, or mean of the standard deviations
+    second: Floats  # peak to valley, peak, or maximum
+    mean: float  # of the RMS, or of all standard deviations; NaN for a PSF
     noise_rad: float | None = None  # that hides the wavefront of a single frame
 
 
@@ -169,23 +168,10 @@ def quantity_maps(
 ) -> QuantityMaps | None:
     """Compute maps with their numbers, a PSF up to `reach_rad`, or as far as there is light.
 
-    `settings` reconstructed the wavefront. None for a PSF without any light, and if the method measures no
-    transmission.
+    `settings` reconstructed the wavefront. None for a PSF without any light.
     """
-    if quantity is Quantity.TRANSMISSION:
-        return _transmission(wavefront)
     found = _maps(wavefront, quantity, settings, reach_rad)
     return None if found is None else replace(found, numbers=view_numbers(quantity, found.values))
-
-
-def _transmission(wavefront: Wavefront) -> QuantityMaps | None:
-    if wavefront.transmission is None:
-        return None
-    values, error = wavefront.transmission
-    known, shape = np.isfinite(values), values.shape[:2]
-    means, errors = ([_mean(each[view][known[view]]) for view in np.ndindex(shape)] for each in (values, error))
-    numbers = Quantity.TRANSMISSION, np.reshape(means, shape), np.reshape(errors, shape), _mean(values[known])
-    return QuantityMaps(values, numbers=ViewNumbers(*numbers))
 
 
 def _maps(

@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QFrame, QHBoxLayout, QSizePolicy
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy
 
 from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import Validity
@@ -13,7 +13,7 @@ from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
-from app.gui.widgets.fields import InputField, NumberField
+from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import Item, column, row
 from app.gui.widgets.presentation import percent
 from app.gui.widgets.texts import label, mark_wanted
@@ -251,14 +251,9 @@ class StepButton(Button):
 class _LightButton(Toggle):
     """A button that also asks for darkness while its panel is disabled: a bench is opened."""
 
-    typed = pyqtSignal()  # its key was typed into a field
-
     def click(self) -> None:
         """Press the button, as menu and key do."""
-        field = QApplication.focusWidget()
-        if isinstance(field, InputField) and field.take_light_key():
-            self.typed.emit()
-        elif self.isEnabled():
+        if self.isEnabled():
             super().click()
         elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
             self.clicked.emit(False)

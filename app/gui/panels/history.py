@@ -8,14 +8,13 @@ from functools import partial
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QFontMetrics
-from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
 from app.gui.panels.panel import DisplayState, Entries, Panel, Request, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle, close_button
 from app.gui.widgets.copies import ask_file
-from app.gui.widgets.fields import NumberLine
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import Item, Scrolled, column, fill_dialog, row
 from app.gui.widgets.plot import Plot
@@ -277,7 +276,7 @@ def _plot(bottom: str | None) -> Plot:
     return made
 
 
-class LimitLine(NumberLine):
+class LimitLine(QLineEdit):
     """A phase with its unit; empty if there is no limit, red if it is no number."""
 
     def __init__(self, shown: DisplayState, key: str) -> None:

@@ -60,7 +60,7 @@ class WavefrontPanel(Panel):
         self._enlarged: EnlargedView | None = None
         self._reading = FileWork(self, self.warned.emit)  # of a wavefront to subtract
         self._exports = FileWork(self, self.warned.emit)
-        about = "Quantity shown for every view (keys 1 to 5)"
+        about = "Quantity shown for every view (keys 1 to 4)"
         self.choice = Choice(about, Quantity, self._redraw, key="view/quantity")
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
@@ -294,8 +294,6 @@ class WavefrontPanel(Panel):
             scale.follow(needed)
 
     def _show_maps(self, maps: Maps | None) -> None:
-        has_wavefront = self.shown.wavefront is not None
-        self.grid.empty = PRESENTATIONS[self.quantity].missing if has_wavefront else "no wavefront"
         self.grid.show_maps(maps)
         if maps is None:
             self._numbers = None

@@ -57,7 +57,9 @@ class CalibrationGuide(QDialog):
         self.question = label("", is_wrapped=True)
         self.yes = Button("", "Return", lambda _: self._answers[True]())
         self.no = Button("", "Esc", lambda _: self._answers[False]())
-        answers = row((self.question, 1), self.yes, self.no)
+        about = "Measure the camera's nonlinearity without the sample, in some minutes"
+        self.linearity = Button("5 Nonlinearity", about, self.measure_linearity)
+        answers = row((self.question, 1), self.linearity, self.yes, self.no)
         self.steps = Scrolled(steps)
         fill_dialog(self, (self.steps, 1), answers)
         controller.connected.connect(self._restart)
@@ -85,10 +87,14 @@ class CalibrationGuide(QDialog):
         """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
 
         def propose(found: MeasuredLinearity) -> None:
-            use = partial(self._use, "linearity", found.linearity, "frames are corrected")
-            self._messages.ask(linearity_found(found), use)
+            def use() -> None:
+                self._use("linearity", found.linearity, "frames are corrected")
+                self._end("Frames are corrected.")
 
-        self._controller.send(lambda to: to.measure_linearity(), propose)
+            self._ask(linearity_found(found), "Use it", use, "Discard", self.close)
+
+        self._ask("Measuring \N{HORIZONTAL ELLIPSIS}", no="Cancel", refuse=self._controller.cancel)
+        self._controller.send(lambda to: to.measure_linearity(), propose, lambda error: self._end(str(error)))
 
     def use_lattice(self, lattice: Lattice) -> None:
         self._use("lattice", lattice, "the lattice is in use")
@@ -207,6 +213,7 @@ class CalibrationGuide(QDialog):
         self.yes.setText(yes)
         self.yes.setVisible(bool(yes))
         self.no.setText(no)
+        self.linearity.setVisible(no == "Close")
         if yes:
             self.yes.setFocus()
 

@@ -5,6 +5,10 @@ import time
 from collections.abc import Callable
 from concurrent.futures import Future
 
+from PyQt6.QtCore import QEvent, QObject, Qt
+from PyQt6.QtGui import QKeyEvent, QWindow
+from PyQt6.QtWidgets import QApplication
+
 from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
@@ -12,6 +16,30 @@ from app.gui.shell.controller import Controller
 from app.progress import counted
 
 _REST_S = 1.0  # after a request to switch off: the second click of a double click, or a held key, lights nothing
+
+_EMERGENCY = (Qt.Key.Key_F12, Qt.Key.Key_Pause)
+
+
+class EmergencyKeys(QObject):
+    """Calls `act` at F12 or Pause in every window of the program, also in modal dialogs, which block shortcuts."""
+
+    def __init__(self, act: Callable[[], object], parent: QObject) -> None:
+        super().__init__(parent)
+        self._act = act
+        if isinstance(application := QApplication.instance(), QApplication):
+            application.setAttribute(Qt.ApplicationAttribute.AA_DontUseNativeDialogs)  # they would not see the keys
+            application.focusWindowChanged.connect(self._watch)
+
+    def _watch(self, window: QWindow | None) -> None:
+        if window is not None:
+            window.installEventFilter(self)
+
+    def eventFilter(self, _: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        if not isinstance(event, QKeyEvent) or event.type() != QEvent.Type.KeyPress or event.key() not in _EMERGENCY:
+            return False
+        if not event.isAutoRepeat():
+            self._act()
+        return True
 
 
 class LightControl:
@@ -21,7 +49,6 @@ class LightControl:
         """`end_sequence` ends a sequence of commands, and returns whether one was running."""
         self._controller, self._controls, self._messages = controller, controls, controller.messages
         self._end_sequence = end_sequence
-        controls.light.typed.connect(self.take_key)
         self._switching_off: Future[None] | None = None
         self._rests_until_s = -math.inf
         self.is_kept_off = False  # whether the user's last request was to switch off
@@ -51,15 +78,6 @@ class LightControl:
             self._ask_by_hand(is_on=False, then=then)
         else:
             then()
-
-    def take_key(self) -> None:
-        """Switch off what shines, or may be lighting up, by an L that is typed into a field."""
-        acquisition = self._acquisition
-        status = None if acquisition is None else acquisition.status
-        is_lit, is_replay = (False, False) if status is None else (status.is_light_on, status.is_replay)
-        if acquisition is not None and not is_replay and (is_lit or self._is_busy(acquisition)):
-            self.switch(is_on=False)
-            self._messages.warn("L switches the light off, also where it is typed; Shift+L only types it")
 
     def switch(self, *, is_on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.

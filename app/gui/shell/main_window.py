@@ -31,7 +31,7 @@ from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks, make_panels
 from app.gui.shell.help import help_entries
 from app.gui.shell.instrument_factory import InstrumentFactory
-from app.gui.shell.light_control import LightControl
+from app.gui.shell.light_control import EmergencyKeys, LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
@@ -93,6 +93,7 @@ class MainWindow(QMainWindow):
         self.settings = SettingsControl(self.controller)
         self.guide = CalibrationGuide(self.controller, self.settings, self.panels.camera, self)
         self.light = LightControl(self.controller, self.controls, self.guide.end_for_light)
+        self._emergency = EmergencyKeys(self._end_light, self)
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
         self.recording_bar = RecordingBar(self.controller, self.recording_panel, saved)
@@ -178,7 +179,7 @@ class MainWindow(QMainWindow):
                 *presets,
                 *self._entries_of_panels("&Bench"),
                 ("Check the background", "B", self.guide.check_background),
-                ("Measure the camera's nonlinearity", "", self.guide.measure_linearity),
+                ("Light off, from anywhere (also Pause)", "F12", self._end_light),
                 None,
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
@@ -328,6 +329,9 @@ class MainWindow(QMainWindow):
             warning="; ".join(filter(None, [alarm, self.controller.notice])),
             advice=way_out(status) if self._failure else advice(status, self._activity, measurement),
         )
+
+    def _end_light(self) -> None:
+        self.light.switch(is_on=False)
 
     def open_file(self, path: Path) -> None:
         if answer(path.is_dir, otherwise=False):

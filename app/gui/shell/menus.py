@@ -12,7 +12,7 @@ from app.gui.panels.panel import Entries
 from app.gui.widgets.file_work import answer
 
 _MOST = 8  # recent files
-_EVERYWHERE = {"L"}  # keys that work in every dialog: the light
+_EVERYWHERE = {"L", "F12"}  # keys that work in every dialog: the light
 
 
 def fill_menus(window: QMainWindow, menus: Mapping[str, Entries]) -> None:

@@ -16,7 +16,6 @@ from app.errors import InputError
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, close_button
 from app.gui.widgets.copies import ask_file
-from app.gui.widgets.fields import NumberLine, TextLine
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
@@ -153,7 +152,7 @@ class SettingsDialog(QDialog):
             choice.setCurrentIndex(choice.findData(field.text))
             choice.activated.connect(lambda index: self._enter(field, choice, choice.itemData(index)))
             return choice
-        line = (NumberLine if field.kind in {"number", "integer"} else TextLine)(field.text)
+        line = QLineEdit(field.text)
         empty = "none" if field.kind == "toml" and not field.is_optional else "automatic" * field.is_optional
         line.setPlaceholderText(f"for example {field.example}" if field.example else empty)
         line.textEdited.connect(lambda text: self._enter(field, line, text))

@@ -13,33 +13,7 @@ BUTTONS_WIDTH_PX = 26  # with the frame
 _COMMANDS = Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.AltModifier | Qt.KeyboardModifier.MetaModifier
 
 
-class InputField:
-    """Base of all fields: an L that is typed is also the key of the light, which it may switch off."""
-
-    _light_key = ""  # text of an L that was left to the shortcuts
-
-    def leaves_light_key(self, event: QEvent | None) -> bool:
-        """Return whether the event offers an L, which is left to the shortcuts."""
-        if not isinstance(event, QKeyEvent) or event.type() != QEvent.Type.ShortcutOverride:
-            return False
-        if event.key() != Qt.Key.Key_L or event.modifiers():
-            return False
-        self._light_key = "" if event.isAutoRepeat() else event.text()
-        event.ignore()
-        return True
-
-    def take_light_key(self) -> bool:
-        """Type an L that was left to the shortcuts; return whether there was one."""
-        text, self._light_key = self._light_key, ""
-        if text:
-            self._type_light_key(text)
-        return bool(text)
-
-    def _type_light_key(self, text: str) -> None:
-        """Type it; it is in no number."""
-
-
-class NumberField(InputField, QDoubleSpinBox):
+class NumberField(QDoubleSpinBox):
     """Shows a value in a convenient unit and emits it in SI units when the user enters it.
 
     A comma or a point separates decimals, whatever the language of the desktop; other prefixes of the unit are
@@ -112,7 +86,7 @@ class NumberField(InputField, QDoubleSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Keep typed keys from the shortcuts; Return enters, Esc restores, and both leave the field."""
-        if self.leaves_light_key(event) or scrolls_past(event, self):
+        if scrolls_past(event, self):
             return False
         if not isinstance(event, QKeyEvent):
             return super().event(event)
@@ -187,23 +161,8 @@ class NumberField(InputField, QDoubleSpinBox):
         self.entered.emit(self._allowed.nearest(value * self._factor))
 
 
-class NumberLine(InputField, QLineEdit):
-    """A line for a number."""
-
-    def event(self, event: QEvent | None) -> bool:
-        return not self.leaves_light_key(event) and super().event(event)
-
-
-class TextLine(NumberLine):
-    """A line for a text."""
-
-    def _type_light_key(self, text: str) -> None:
-        none = Qt.KeyboardModifier.NoModifier
-        self.keyPressEvent(QKeyEvent(QEvent.Type.KeyPress, Qt.Key.Key_L, none, text))  # sent, it would be a shortcut
-
-
-class TextField(TextLine):
-    """Emits a changed text when the user enters it; Return enters, Esc restores, and both leave the field.
+class TextField(QLineEdit):
+    """Emits a changed text when the user leaves it, also by Return or Esc, which erases nothing.
 
     Keys are typed into it only after a click: Tab does not reach it, and a click anywhere else leaves it.
     """
@@ -222,11 +181,9 @@ class TextField(TextLine):
         self.setText(text)
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep Return and Esc from the shortcuts; Qt does that for other letters than L."""
+        """Keep Return and Esc from the shortcuts, as Qt does with letters."""
         ends = (Qt.Key.Key_Escape, *ENTER)
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.KeyPress and event.key() in ends:
-            if event.key() == Qt.Key.Key_Escape:
-                self.setText(self._in_force)
             self.clearFocus()
             return True
         return keeps_key(event, *ends) or super().event(event)

@@ -120,13 +120,11 @@ class Presentation:
     names: tuple[str, str] = ("RMS", "PV")  # of the numbers of a view, see `ViewNumbers`
     summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
-    missing: str = "no wavefront"  # shown without maps
-    middle: float = 0.0  # of the values: the limit is that of their distance from it
 
     @property
     def has_unit(self) -> bool:
         """True for a phase, False for a ratio."""
-        return self.family not in {"intensity", "transmission"}
+        return self.family != "intensity"
 
     def caption(self, first: float, second: float) -> tuple[str, ...]:
         """Format the numbers of a view: wordings, longest first."""
@@ -135,7 +133,7 @@ class Presentation:
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale of maps (...) needs, in their unit; NaN if all are NaN."""
-        known = np.abs(maps[np.isfinite(maps)] - self.middle)
+        known = np.abs(maps[np.isfinite(maps)])
         if not known.size:
             return float("nan")
         last = math.ceil(self.shown_percent / 100 * (known.size - 1))  # np.percentile takes ten times as long
@@ -208,16 +206,5 @@ PRESENTATIONS = {
         names=("mean", "max"),
         summary=lambda mean, unit: f"1\N{GREEK SMALL LETTER SIGMA}, mean {number(mean)} {unit}",
         value=lambda value, unit: f"{number(value)} {unit}",
-    ),
-    Quantity.TRANSMISSION: Presentation(
-        about="Brightness of the source through the sample over that in the reference",
-        scale=lambda limit, _: ColourScale("CET-D1", 1 - limit, 1 + limit, "", _HALVES),
-        family="transmission",
-        finest=0.05,
-        middle=1.0,  # without a sample
-        names=("mean", "error"),
-        summary=lambda mean, _: f"mean {number(mean)}",
-        value=lambda value, _: number(value),
-        missing="this registration method\ndoes not measure the transmission",
     ),
 }

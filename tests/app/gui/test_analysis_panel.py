@@ -56,7 +56,6 @@ def test_keys_choose_the_quantity(live: tuple[MainWindow, FakeCamera], qtbot: Qt
         (KEYS[1], Quantity.PSF, None, "Strehl"),
         (KEYS[2], Quantity.RESIDUAL, LENSLETS, "RMS"),
         (KEYS[3], Quantity.UNCERTAINTY, LENSLETS, "mean"),
-        (KEYS[4], Quantity.TRANSMISSION, LENSLETS, "mean"),
         (KEYS[0], Quantity.WAVEFRONT, LENSLETS, "RMS"),
     ):
         press(qtbot, window, key)
@@ -182,23 +181,6 @@ def test_views_without_values_are_shown_for_every_quantity(make_window: MakeWind
         qtbot.waitUntil(partial(is_analysed, quantity))
         picture(window)
     assert window.panels.quality.sentence.text() == "No lenslet is valid over the whole field"
-
-
-def test_scale_of_the_transmission_lies_about_one() -> None:
-    shown = PRESENTATIONS[Quantity.TRANSMISSION]
-    limit = shown.limit(np.array([0.8, 1.0, 1.1, np.nan]))
-    assert limit == pytest.approx(0.2)
-    assert (shown.scale(limit, "").low, shown.scale(limit, "").high) == pytest.approx((0.8, 1.2))
-
-
-def test_method_without_transmission_is_named(make_window: MakeWindow, qtbot: QtBot) -> None:
-    window = make_window()
-    show(window, bowl())
-    panel = window.panels.wavefronts
-    panel.choice.setCurrentText(Quantity.TRANSMISSION)
-    qtbot.waitUntil(lambda: window.analyses.of[panel].request is not None and not window.analyses.of[panel].is_busy)
-    assert panel.grid.maps is None
-    assert panel.grid.empty.endswith("does not measure the transmission")
 
 
 def test_failing_analysis_is_shown_and_window_continues(make_window: MakeWindow, qtbot: QtBot) -> None:

@@ -11,7 +11,6 @@ from support.wavefronts import bowl
 
 from app.results.run_summary import noise_above_rms
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps, view_numbers
-from reconstruction.displacement import Transmission
 from reconstruction.quality.image_quality import diffraction_rad
 from reconstruction.wavefront import Wavefront
 
@@ -75,29 +74,6 @@ def test_numbers_of_each_view_and_of_all() -> None:
     light[0, 1, 1, 2], light[0, 1, 0, 4] = 0.6, 0.7
     peaks = view_numbers(Quantity.PSF, light)
     assert (peaks.first.tolist(), peaks.second.tolist()) == ([[0, 0.6]], [[0, 0.7]])
-
-
-def test_numbers_of_the_transmission_leave_out_what_is_unknown() -> None:
-    wavefront = bowl()
-    lenslets = wavefront.displacement.valid.shape
-    coefficients, covariance = np.zeros((*lenslets, 6)), np.zeros((*lenslets, 6, 6))
-    coefficients[..., 0], covariance[..., 0, 0] = 0.7, 0.02**2
-    coefficients[:3, :, 0], covariance[:3, :, 0, 0] = 0.9, 0.05**2
-    coefficients[3, :, 0] = covariance[3, :, 0, 0] = np.nan
-    displacement = replace(wavefront.displacement, transmission_source=Transmission(coefficients, covariance))
-    seen = replace(wavefront, displacement=displacement)
-    found = maps_of(Quantity.TRANSMISSION, seen)
-    assert found.numbers is not None
-    high = 3 / (lenslets[0] - 1)  # share of the rows that let more through
-    assert found.values[1, 1, 0, 0] == pytest.approx(0.9)
-    np.testing.assert_allclose(found.numbers.first, 0.7 + 0.2 * high)
-    np.testing.assert_allclose(found.numbers.second, 0.02 + 0.03 * high)
-    assert found.numbers.mean == pytest.approx(0.7 + 0.2 * high)
-    coefficients[:] = np.nan
-    unknown = maps_of(Quantity.TRANSMISSION, seen)
-    assert unknown.numbers is not None
-    assert np.isnan(unknown.numbers.mean)
-    assert quantity_maps(wavefront, Quantity.TRANSMISSION, BENCH.reconstruction) is None
 
 
 def test_noise_is_told_if_it_hides_the_wavefront() -> None:
