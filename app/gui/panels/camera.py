@@ -141,9 +141,11 @@ class CameraPanel(Panel):
         if shown.badge != self.badge.text():
             self.badge.setText(shown.badge)
             self.badge.setVisible(bool(shown.badge))
-            self._view.childGroup.setOpacity(0.5 if shown.is_grey else 1.0)
         if shown.reason != self.badge.toolTip():
             self.badge.setToolTip(shown.reason)
+
+    def show_stale(self, *, is_stale: bool) -> None:
+        self._view.childGroup.setOpacity(0.5 if is_stale else 1.0)
 
     def show_status(self, status: Status) -> None:
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)

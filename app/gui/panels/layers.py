@@ -121,7 +121,7 @@ class LayersPanel(Panel):
             text = f"{signed(value)} {unit}" if np.isfinite(value) else "no ray meets the layer"
             return f"{x_mm:+.2f}, {y_mm:+.2f} mm on the layer: {text}"
 
-        self.map.is_stale = False
+        self.map.is_stale = self.shown.data_freshness.is_grey
         scale = diverging(limit, unit)
         self.map.show_maps(Maps(values[None], scale, describe, is_smooth=True, reach=reach_mm, reach_unit="mm"))
         wide = (f"map {2 * reach_mm[0]:.1f} mm wide", f"{2 * reach_mm[0]:.1f} mm wide")  # not after +-

@@ -90,7 +90,6 @@ class LensletPanel(Panel):
         if shown.badge != self._badge:
             self._badge = shown.badge
             self._show_state(self._state)
-            self._grey(is_grey=shown.is_grey)
 
     def show_nothing(self) -> None:
         """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""

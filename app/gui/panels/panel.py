@@ -6,9 +6,12 @@ from typing import Any, ClassVar, Literal, NamedTuple
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QAbstractButton, QMenu, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QMenu, QTableWidget, QWidget
 
 from app.acquisition.instrument import Status
+from app.gui.widgets.plot import Plot
+from app.gui.widgets.texts import ElidedLabel, mark_stale
+from app.gui.widgets.view_grid import ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.frame_statistics import FrameStatistics
 from app.results.shown_wavefront import Unit
@@ -129,6 +132,15 @@ class Panel(QWidget):
 
     def show_numbers(self) -> None:
         """Show what changes too fast to be read otherwise, and whether it is live, five times a second."""
+
+    def show_stale(self, *, is_stale: bool) -> None:
+        """Show maps, plots and numbers without colour while the bench may differ from what is shown."""
+        for plot in self.findChildren(Plot):
+            plot.show_stale(is_stale=is_stale)
+        for grid in self.findChildren(ViewGrid):
+            grid.show_stale(is_stale=is_stale)
+        for text in self.findChildren((ElidedLabel, QTableWidget)):
+            mark_stale(text, is_stale=is_stale)
 
     def show_nothing(self) -> None:
         """Clear what belongs to a wavefront: there is none."""

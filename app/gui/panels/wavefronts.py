@@ -164,8 +164,7 @@ class WavefrontPanel(Panel):
         self.show_numbers()
 
     def show_numbers(self) -> None:
-        badge, reason, is_grey = self.shown.data_freshness
-        self.grid.show_stale(is_stale=is_grey)
+        badge, reason, _ = self.shown.data_freshness
         self.stale.setText(f"{badge}: {reason}" if badge else "")
         numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
         if numbers is None or wavefront is None or numbers.quantity is not quantity:

@@ -315,10 +315,13 @@ class MainWindow(QMainWindow):
         status, shown, measurement = self._status, self.shown, self.shown.measurement
         shown.status = self.controller.status
         alarm = self._alarm_tracker.alarm(status, self._activity, measurement)
+        was_grey = shown.data_freshness.is_grey
         shown.data_freshness = data_freshness(status, self._failure, self._activity, measurement)
         shown.problem = self._failure or self._activity.text or alarm
         for panel in self.panels:
             panel.show_numbers()
+            if shown.data_freshness.is_grey is not was_grey:
+                panel.show_stale(is_stale=not was_grey)
         self.recording_bar.refresh()
         self.status_line.update_text(status, self.controller.about_processes, trouble=self.controller.trouble)
         self.status_line.show_verdict(shown.verdict)

@@ -61,10 +61,10 @@ def data_freshness(
         return DataFreshness("REPLAY", status.camera_name)
     if failure:
         return DataFreshness(f"DISCONNECTED, {age} old", failure, is_grey=True)
-    is_stopped = not status.is_running and not activity.text
+    is_stopped = not status.is_running and not activity.text  # to study the frame: it keeps its colours
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
-        why = _STOPPED if is_stopped else "no newer frame has come yet"
-        return DataFreshness(f"PAUSED, {age} old", activity.text or why, is_grey=True)
+        why = _STOPPED if is_stopped else activity.text or "no newer frame has come yet"
+        return DataFreshness(f"PAUSED, {age} old", why, is_grey=not is_stopped)
     reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
     return DataFreshness("STALE" if reason else "", reason, is_grey=bool(reason))
 

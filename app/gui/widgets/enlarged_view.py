@@ -209,9 +209,11 @@ class EnlargedView(QDialog):
             i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
             one = replace(maps, values=maps.values[i : i + 1, j : j + 1])
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
-        self.map.has_contours = self.contour_toggle.isChecked()
+        self.map.has_contours, self.map.is_stale = self.contour_toggle.isChecked(), self._grid.is_stale
+        for plot in (self.across, self.down):
+            plot.show_stale(is_stale=self._grid.is_stale)
         self.map.show_maps(one)
-        self.surface.show_map(one)
+        self.surface.show_map(None if one is None else replace(one, scale=self.map.scale_of(one)))
         self._show_sections()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name

@@ -17,6 +17,8 @@ from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.results.layers import Origin, axis_label, shown_range_m
 from reconstruction.arrays import Floats
 
+_STALE = 0.4  # opacity of curves that may be outdated
+
 
 class Canvas(pg.GraphicsView):  # type: ignore[misc] # pyqtgraph declares no types
     """A graphics view on the background of the theme."""
@@ -118,6 +120,9 @@ class Plot(QWidget):
             axis.setPen(theme.LINE)
             axis.setTextPen(theme.DIM)
             axis.setLabel(axis.labelText, color=theme.DIM.name())
+
+    def show_stale(self, *, is_stale: bool) -> None:
+        self.view.childGroup.setOpacity(_STALE if is_stale else 1.0)
 
     def clear_curves(self) -> None:
         for curve in self.curves:

@@ -99,6 +99,11 @@ def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
     _restyle(control, "wanted", is_wanted)
 
 
+def mark_stale(shown: QWidget, *, is_stale: bool) -> None:
+    """Show results without colour while they may be outdated."""
+    _restyle(shown, "stale", is_stale)
+
+
 def mark_refused(control: QWidget, *, is_refused: bool) -> None:
     """Show in red what is typed and cannot be used."""
     control.setStyleSheet(f"color: {theme.RED.name()};" if is_refused else "")

@@ -39,7 +39,7 @@ def _style() -> str:
     return f"""
 QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
-QLabel[role="dim"] {{ color: {DIM.name()}; }}
+QLabel[role="dim"], *[stale="true"] {{ color: {DIM.name()}; }}
 QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
 {"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
 QFrame[role="rule"] {{ background: {LINE.name()}; }}

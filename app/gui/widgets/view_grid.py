@@ -130,7 +130,7 @@ class ViewGrid(QWidget):
 
     def show_maps(self, maps: Maps | None) -> None:
         self.maps = maps
-        scale = None if maps is None else self._scale(maps)
+        scale = None if maps is None else self.scale_of(maps)
         before, self._shown_scale = self._shown_scale, scale
         if maps is not None and scale is not None:
             self._pixels = scale.pixels(maps.values)
@@ -213,7 +213,7 @@ class ViewGrid(QWidget):
             if 0 <= row < maps.values.shape[0] and 0 <= column < maps.values.shape[1]:
                 self.selected.emit(row, column)
 
-    def _scale(self, maps: Maps) -> ColourScale:
+    def scale_of(self, maps: Maps) -> ColourScale:
         """From black to white while the maps are stale: a sign stays visible."""
         return replace(maps.scale, colours="CET-L1") if self.is_stale else maps.scale
 
@@ -303,7 +303,7 @@ class ViewGrid(QWidget):
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)
         painter.setOpacity(0.5 if self.is_stale else 1.0)
-        painter.drawImage(bar.topLeft(), _colour_bar(self._scale(maps).colours, bar.width(), bar.height()))
+        painter.drawImage(bar.topLeft(), _colour_bar(self.scale_of(maps).colours, bar.width(), bar.height()))
         painter.setOpacity(1.0)
         painter.setPen(theme.TEXT)
         title = QRect(bar.left(), bar.top() - line - 4, self.width(), line)

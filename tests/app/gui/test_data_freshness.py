@@ -14,24 +14,35 @@ import tifffile
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.window_tools import dim_frame, press, views
+from support.window_tools import dim_frame, picture, press, views
 
 from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.instrument import Activity
 from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import AlarmTracker, data_freshness
+from app.gui.widgets.enlarged_view import EnlargedView, SurfaceView
 from app.recording.playback_devices import RecordedLight
 from drivers.interface import Disconnected
 
 
 def is_grey(window: MainWindow) -> bool:
-    tiles = [window.panels.wavefronts.grid, *window.panels.lenslet.tiles.values()]
-    states = {tile.is_stale for tile in tiles}
+    """True if no panel, nor the enlarged view, shows a result in colour; False if all do."""
+    panels, enlarged = window.panels, window.findChild(EnlargedView)
+    assert enlarged is not None
+    states = {tile.is_stale for tile in (panels.wavefronts.grid, *panels.lenslet.tiles.values(), enlarged.map)}
+    plots = panels.quality.mtf, panels.quality.structure, panels.coefficients.plot, enlarged.across
+    states |= {plot.view.childGroup.opacity() < 1 for plot in plots}
+    states |= {panels.camera._view.childGroup.opacity() < 1, colours(enlarged.surface) < 0.01}
+    texts = panels.quality.sentence, panels.coefficients.plot.title, panels.coefficients.table
+    states |= {bool(text.property("stale")) for text in texts}
     assert len(states) == 1
-    is_dim: bool = window.panels.camera._view.childGroup.opacity() < 1
-    assert states == {is_dim}
-    return is_dim
+    return states.pop()
+
+
+def colours(surface: SurfaceView) -> float:
+    """Share of the pixels that are neither black, grey nor white."""
+    return float((np.ptp(picture(surface).astype(int), axis=2) > 30).mean())
 
 
 def badges(window: MainWindow) -> tuple[str, str, str]:
@@ -77,23 +88,27 @@ def test_alarm_is_about_frames_of_the_present_conditions() -> None:
 
 
 @pytest.mark.slow
-def test_paused_and_disconnected_frames_are_grey(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+def test_stopped_frame_keeps_its_colours_and_disconnected_one_is_grey(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot
+) -> None:
     window, camera = live
+    window.panels.wavefronts.enlarge()
+    window.docks.float_panels(window.panels.quality, window.panels.coefficients, window.panels.lenslet)
     window.panels.lenslet.inspect(4, 6)
     qtbot.waitUntil(lambda: window.panels.lenslet.name.text() == "Lenslet row 4, column 6: converged")
+    qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
     assert not is_grey(window)
     press(qtbot, window, Qt.Key.Key_Space)
-    qtbot.waitUntil(lambda: badges(window)[0].startswith("PAUSED, "))
-    assert is_grey(window)
+    qtbot.waitUntil(lambda: badges(window)[0].startswith("PAUSED, 2 s"))  # older than a running camera's frames
+    assert not is_grey(window)
     for text in badges(window):
         assert "PAUSED, " in text
     assert "Space starts it" in badges(window)[1]
     press(qtbot, window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: badges(window) == ("", "", "Lenslet row 4, column 6: converged"))
-    qtbot.waitUntil(lambda: not is_grey(window))
     camera.fault = Disconnected("the camera was unplugged")
     qtbot.waitUntil(lambda: badges(window)[0].startswith("DISCONNECTED, "))
-    assert is_grey(window)
+    qtbot.waitUntil(lambda: is_grey(window))
     assert "unplugged" in badges(window)[1]
     assert "DISCONNECTED" in badges(window)[2]
 
