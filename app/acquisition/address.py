@@ -29,6 +29,14 @@ _LOG_BYTES = 1_000_000  # a vendor's library may print at every frame
 _TIMEOUT_S = 1.0  # for a client that looks at this moment whether the last instrument was killed
 
 
+class NotRunning(RunError):
+    """No instrument runs under a name."""
+
+
+class NameTaken(RunError):
+    """Another instrument runs under a name."""
+
+
 @dataclass(frozen=True, slots=True)
 class Address:
     """Address of a running instrument."""
@@ -40,7 +48,7 @@ class Address:
 
     @classmethod
     def of(cls, name: str = NAME) -> Self:
-        """Read the address of the instrument that runs under a name; `RunError` if there is none."""
+        """Read the address of the instrument that runs under a name; `NotRunning` if there is none."""
         file = file_of(name, "json")
         clear_abandoned(name)
         try:
@@ -48,7 +56,7 @@ class Address:
         except OSError as error:
             named = ("", "") if name == NAME else (f" as {name}", f" --name {name}")
             sentence = f"no instrument runs{named[0]}: start one with svwfs serve --bench BENCH{named[1]}"
-            raise RunError(sentence) from error
+            raise NotRunning(sentence) from error
         except (ValueError, TypeError) as error:
             raise RunError(f"{file} cannot be read: start the instrument again") from error
 

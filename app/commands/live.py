@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from app.acquisition.address import NAME, file_of
+from app.acquisition.address import NAME, NameTaken, file_of
 from app.bench.config import load_bench
 from app.bench.presets import DEFAULT
 from app.bench.trusted_libraries import unconfirmed
@@ -113,7 +114,8 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
         try:
             bench = load_bench(source, overrides)
             if not unconfirmed(bench):
-                own.start(bench)  # while the window is loaded
+                with suppress(NameTaken):  # the window offers that instrument
+                    own.start(bench)  # while the window is loaded
         except InputError:
             if overrides and _is_sound(source):
                 raise  # what --set says is wrong; of a file, the window tells more
@@ -146,7 +148,7 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
         opened.append(own.connect(bench))
         return opened[-1]
 
-    status = run_window(open_first, make_for=make_for)
+    status = run_window(open_first, make_for=make_for, name=own.name)
     if opened and opened[-1].goes_on:
         place = opened[-1].address
         terminal.print_sentence(

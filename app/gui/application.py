@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
-from app.acquisition.address import CLOSING_S
+from app.acquisition.address import CLOSING_S, NAME
 from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
@@ -33,6 +33,7 @@ def run_window(
     *,
     steps: Callable[[MainWindow], Iterator[object]] | None = None,
     make_for: Callable[[Bench], RunningInstrument] = Acquisition,
+    name: str = NAME,
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
@@ -45,6 +46,8 @@ def run_window(
         the last. Their errors are raised here. Such a window always looks the same; others look as at their last end.
     make_for
         Makes the acquisition of a bench that is opened in the window.
+    name
+        Name of the window's instruments.
 
     Raises
     ------
@@ -62,7 +65,7 @@ def run_window(
         saved = saved_state() if steps is None else None
         if saved is not None:
             apply_preferences(application, saved)
-        window = MainWindow(saved=saved, make_for=make_for)
+        window = MainWindow(saved=saved, make_for=make_for, name=name)
     timer = None if steps is None else _StepTimer(window, steps(window))
     signals: list[int] = []
 

@@ -76,6 +76,8 @@ class Connection(Commands):
     clients: tuple[str, ...] = ()  # names of all
     controller = ""  # name of the client that has control; empty: nobody
     goes_on = True  # whether the instrument does when this connection is closed
+    is_lost = False  # whether the instrument's process has died, not been shut down
+    _retakes_control = False  # if this client was silent for too long, and nobody else has control
 
     def __init__(
         self,
@@ -242,7 +244,7 @@ class Connection(Commands):
 
     def _say_hello(self) -> None:
         self._say(Hello(self.name, self._takes_control, self._pause_s))
-        self._takes_control = False  # once: a client that was silent for too long only watches
+        self._takes_control &= self._retakes_control
         self._hello_due_s = time.monotonic() + _ALIVE_S
 
     def _turn(self, ready: dict[Any, int]) -> None:
@@ -253,10 +255,12 @@ class Connection(Commands):
             self._heard_s = time.monotonic()
             self._take(unpacked(self._socket.recv()))
         if is_gone and self._ended is None:
-            self._is_gone = True
+            self._is_gone = self.is_lost = True
             clear_abandoned(self.address.name, timeout_s=DYING_S)
             process = f"the instrument's process {self.address.process}"
             advice = "its light should be off; if it shines, switch it off by hand or with svwfs light-off"
+            if self.status is not None and self.status.bench.has_manual_light:
+                advice = "switch the light off by hand"
             self._ended = RunError(f"{process} {self._how_it_ended()}: {advice}")
         if self.frames.error is not None and self._ended is None:
             self._ended = RunError(f"frames of the instrument cannot be shown: {self.frames.error}")

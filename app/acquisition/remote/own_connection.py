@@ -20,6 +20,8 @@ _ENDED_S = 0.5  # from the end of its connections to that of a process that cras
 class OwnConnection(Connection):
     """Ends the instrument when it is closed, unless that `goes_on` or another client controls it."""
 
+    _retakes_control = True
+
     def __init__(self, bench: Bench, name: str, process: Child, *, log: Path, forget_bench: Callable[[], None]) -> None:
         """Begin to connect to a process that has just been started, and prints into the file `log`.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from app.acquisition.address import CLOSING_S, NAME, file_of, is_taken
+from app.acquisition.address import CLOSING_S, NAME, NameTaken, file_of, is_taken
 from app.bench.config import Bench, save_bench
 from app.errors import RunError
 from app.run_facts import MAIN
@@ -29,7 +29,7 @@ class OwnInstrument:
     """Runs one bench after the other in a process of its own, `svwfs serve`."""
 
     def __init__(self, name: str = NAME) -> None:
-        self._name = name
+        self.name = name
         self._bench: Bench | None = None  # of the process
         self._process: Child | None = None
         self._connection: OwnConnection | None = None
@@ -38,7 +38,7 @@ class OwnInstrument:
     @property
     def _log(self) -> Path:
         """File of what the process prints, also when it goes on without this window."""
-        return file_of(self._name, "log")
+        return file_of(self.name, "log")
 
     def __enter__(self) -> Self:
         return self
@@ -50,7 +50,7 @@ class OwnInstrument:
         else:
             self._end()
         self._tell_crash()
-        if self._process is not None and not is_taken(self._name):
+        if self._process is not None and not is_taken(self.name):
             with suppress(OSError):  # Windows keeps an open file
                 self._log.unlink()
         self._folder.cleanup()
@@ -58,22 +58,22 @@ class OwnInstrument:
     def start(self, bench: Bench) -> Child:
         """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once.
 
-        `RunError` if another instrument has the name.
+        `NameTaken` if another instrument has the name.
         """
         if self._process is not None and self._process.poll() is None and self._bench == bench:
             return self._process
         self._end()
         self._tell_crash()
-        if is_taken(self._name):
-            named = "" if self._name == NAME else f" --name {self._name}"
-            raise RunError(
-                f"an instrument runs as {self._name} already: svwfs live --attach{named} shows it; another one needs a"
+        if is_taken(self.name):
+            named = "" if self.name == NAME else f" --name {self.name}"
+            raise NameTaken(
+                f"an instrument runs as {self.name} already: svwfs live --attach{named} shows it; another one needs a"
                 " --name"
             )
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         file.parent.mkdir(mode=0o700, exist_ok=True)
         save_bench(file, bench)
-        arguments = ("serve", "--bench", str(file), "--name", self._name, "--idle")
+        arguments = ("serve", "--bench", str(file), "--name", self.name, "--idle")
         try:
             with self._log.open("ab") as log:  # another window may do the same at this moment
                 log.truncate(0)
@@ -97,7 +97,7 @@ class OwnInstrument:
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
         self._connection = OwnConnection(
-            bench, self._name, self.start(bench), log=self._log, forget_bench=self._folder.cleanup
+            bench, self.name, self.start(bench), log=self._log, forget_bench=self._folder.cleanup
         )
         return self._connection
 

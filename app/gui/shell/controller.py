@@ -70,6 +70,11 @@ class Controller(QObject):
         return self._process is not None and self._process.is_silent
 
     @property
+    def is_lost(self) -> bool:
+        """True if the instrument's process has died, and nothing more is known of its devices."""
+        return self._process is not None and self._process.is_lost
+
+    @property
     def left(self) -> str:
         """Say that the instrument goes on, or why it has ended; empty if it ends with the window."""
         return "" if self._process is None else self._process.loss or "the instrument goes on" * self._process.goes_on
@@ -142,14 +147,13 @@ class Controller(QObject):
         self._access = access
 
     def connect_devices(self, *, is_lit: bool) -> None:
-        """Start an acquisition, if a bench is open, and close the previous one; `is_lit`: see `start_up`."""
+        """Start an acquisition, if a bench is open, and close the previous one; `is_lit`: see `start_up`.
+
+        `RunError` if there is no instrument to connect to: the one before, and its failure, stay.
+        """
         if self._access is None:
             return
-        try:
-            made = self._access.make()
-        except RunError as error:  # no instrument to connect to: the one before, and its failure, stay
-            self.messages.warn(str(error))
-            return
+        made = self._access.make()
         before, self.acquisition = self.acquisition, made
         is_first = before is None
         if before is not None:

@@ -16,12 +16,13 @@ from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStand
 from PyQt6.QtGui import QCloseEvent, QDropEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
 
-from app.acquisition.address import CLOSING_S
+from app.acquisition.address import CLOSING_S, NAME, NameTaken, NotRunning
 from app.acquisition.instrument import Activity, Status
-from app.acquisition.remote.connection import RunningInstrument
+from app.acquisition.remote.connection import RunningInstrument, reach
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.errors import RunError
 from app.gui.panels.panel import DisplayState, Entries
 from app.gui.shell.analyses import Analyses
 from app.gui.shell.benches import Benches
@@ -64,14 +65,19 @@ class MainWindow(QMainWindow):
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
     def __init__(
-        self, *, saved: QSettings | None = None, make_for: Callable[[Bench], RunningInstrument] = Acquisition
+        self,
+        *,
+        saved: QSettings | None = None,
+        make_for: Callable[[Bench], RunningInstrument] = Acquisition,
+        name: str = NAME,
     ) -> None:
         """Make an empty window.
 
-        `make_for` makes the acquisition of a bench that is opened in the window. The window looks as saved in
-        `saved` state, and saves how it looks when it closes.
+        `make_for` makes the acquisition of a bench that is opened in the window, where the instrument has a `name`. The
+        window looks as saved in `saved` state, and saves how it looks when it closes.
         """
         super().__init__()
+        self._make_for, self._name = make_for, name
         self._saved, self.is_closing, self._refreshes = saved, False, 0
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
@@ -207,15 +213,32 @@ class MainWindow(QMainWindow):
 
     def connect_devices(self) -> None:
         """Open the devices and start measuring; a light that the user switched off stays off."""
+        self._timer.start()
+        try:
+            self.controller.connect_devices(is_lit=not self.light.is_kept_off)
+        except RunError as error:
+            self._offer_another(error)
+            return
         self.shown.measurement = self.shown.status = None
         self._failure, self._activity = "", Activity("opening the devices")
         self._forget_status()
         self.status_line.restart()
-        self.controller.connect_devices(is_lit=not self.light.is_kept_off)
         if self.light.is_kept_off:
             self.messages.warn("the light stays off, as you left it: L switches it on, then R takes a reference")
         self.update_text()
-        self._timer.start()
+
+    def _offer_another(self, error: RunError) -> None:
+        """Offer an instrument that can be had where the one that was asked for cannot."""
+        status = self._status
+        if isinstance(error, NameTaken):
+            attach = InstrumentFactory(partial(reach, "window", self._name), begin=lambda _: ())
+            self.messages.ask(str(error), partial(self.open, attach), "Attach", "Not now")
+        elif isinstance(error, NotRunning) and status is not None:
+            here = InstrumentFactory(partial(self._make_for, status.bench_in_force))
+            self.messages.ask(f"{error}, or start it here", partial(self.open, here), "Start it here", "Not now")
+        else:
+            self.messages.warn(str(error))
+        self.update_text()
 
     def open(self, access: InstrumentFactory) -> None:
         """Close the devices and connect others.
@@ -248,8 +271,11 @@ class MainWindow(QMainWindow):
     def refresh(self) -> None:
         """Show what is new: results of commands, status, and the newest measurement."""
         acquisition = self.controller.acquisition
+        self._refreshes += 1
         if acquisition is None:
             self.analyses.poll()
+            if self._refreshes % _REFRESHES_PER_TEXT == 0:
+                self.update_text()
             return
         if any([self.controller.poll(), self.light.poll(), self.shown.wanted != self.settings.wanted]):
             self._forget_status()  # shown again, so that a refused value gives way to the one in force
@@ -258,14 +284,13 @@ class MainWindow(QMainWindow):
         status = acquisition.status
         if status is not None:
             self._show_changed(status)
-        if MAY_BE_ON in self._failure or self._is_silent:
+        if MAY_BE_ON in self._failure or self._is_silent or self.controller.is_lost:
             self.controls.show_unreached_light()
         is_ready = self._status is not None and not self._failure and not self._is_silent
         self.controls.setEnabled(is_ready)
         self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
         self.messages.show_activity(self._activity, may_cancel=is_ready)
         self.replay.refresh()
-        self._refreshes += 1
         if self._failure:
             self.update_text()
         elif self._refreshes % _REFRESHES_PER_TEXT == 0:
@@ -325,12 +350,15 @@ class MainWindow(QMainWindow):
         self.recording_bar.refresh()
         self.status_line.update_text(status, self.controller.about_processes, trouble=self.controller.trouble)
         self.status_line.show_verdict(shown.verdict)
+        tip = advice(status, self._activity, measurement)
+        if self._failure:
+            tip = way_out(status, is_lost=self.controller.is_lost)
         self.messages.show_state(
             failure=self._failure,
             may_reconnect=status is None or not status.is_replay,
             may_take_control=self.controller.may_take_control,
             warning="; ".join(filter(None, [alarm, self.controller.notice])),
-            advice=way_out(status) if self._failure else advice(status, self._activity, measurement),
+            advice=tip,
         )
 
     def _end_light(self) -> None:

@@ -132,18 +132,18 @@ class MessageStrip(QFrame):
 
         If this window `may_take_control`, a button does.
         """
+        if failure and failure != self._standing.get("failure"):
+            self._question = ""  # no device is left to apply it
         for name, text in (("failure", failure), ("warning", warning)):
             if self._standing.get(name) != text:
                 self._standing[name] = text
                 self._say(text)
-        self.reconnect.setVisible(bool(failure) and may_reconnect)
+        self.reconnect.setVisible(bool(failure) and may_reconnect and not self._asks)
         self.control.setVisible(may_take_control and not failure)
-        if failure:
-            self._question = ""  # no device is left to apply it
         self.accept.setVisible(self._asks)
         self.discard.setVisible(self._asks)
         self.dismiss.setVisible(bool(self._alarm) and not failure)
-        if failure:
+        if failure and not self._asks:  # a question is about the way out
             self._show(f"{failure}  \N{EM DASH}  {advice}", theme.RED)
         elif self._alarm:
             self._show(self._alarm, theme.RED)

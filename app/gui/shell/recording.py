@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -39,6 +39,7 @@ _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
 _END_MS = 3000  # for a command that is to end
 _NAME_TIP = "Appended to the name of the folder when the recording is finished"
+_CUT_OFF = "its instrument has died: Recover completes it"
 _FOLDER = "folders/recordings"  # key of the saved state
 
 
@@ -100,6 +101,7 @@ class _Finished:
     """A finished recording."""
 
     folder: Path  # another one after it was named
+    state: RecordingState  # at its end
 
 
 class RecordingBar(QFrame):
@@ -117,7 +119,6 @@ class RecordingBar(QFrame):
         controller.connected.connect(self._restart)
         self._saved, self.recordings_folder = saved, _recordings_folder(saved)
         self._starting: Future[None] | None = None  # the last start of a recording
-        self._has_failed = False  # the acquisition, amid what it recorded
         self._ended: set[Path] = set()  # recordings whose end was shown
         self._free_minutes, self._disk_due_s = math.inf, -math.inf
         self._asked_disk: Future[float] | None = None  # a network disk may not answer
@@ -132,7 +133,7 @@ class RecordingBar(QFrame):
         self._make_uses()
         self.done = Button("Close", "Hide this bar", self.hide)
         described = (self.text, 3), (self.name, 2), (self.note, 3)
-        fill_strip(self, *described, *self._of_limit, *self._uses, self.done)
+        fill_strip(self, *described, *self._of_limit, self.recover, *self._uses, self.done)
         self._show_stage(None)
         self.hide()
 
@@ -165,6 +166,8 @@ class RecordingBar(QFrame):
             self.exports.addAction(text, lambda _=False, to=to: self._use(partial(self._export, to)))
         self.export.setMenu(self.exports)
         self._uses = (self.open, self.replay, self.report, self.export)
+        about = "Complete the recording: its instrument has died"
+        self.recover = Button("Recover", about, lambda: self._use(self._recover))
 
     @property
     def folder(self) -> Path | None:
@@ -208,10 +211,11 @@ class RecordingBar(QFrame):
         acquisition = self._controller.acquisition
         if acquisition is None:
             return
-        self._has_failed |= bool(acquisition.failure)
         self._query_disk(acquisition)
         state, kept = acquisition.recording, acquisition.kept
         is_starting = self._starting is not None and not self._starting.done()
+        if state is not None and not state.is_over and self._controller.is_lost:
+            state = replace(state, stage="ended early", problem=_CUT_OFF)
         self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
         if state is not None and state.folder != self._began:
             if self.folder is not None:
@@ -248,6 +252,7 @@ class RecordingBar(QFrame):
             ("Save the last seconds", "K", self._panel.keep),
             ("Replay a recording", "Ctrl+Shift+O", self._choose_recording),
             ("Replay a recent recording", "", self.recent.menu(self, lambda folder: folder.name, self.play)),
+            ("Recover a recording", "", self._choose_to_recover),
             ("Choose the recordings folder", "", self.choose_recordings_folder),
         )
 
@@ -265,17 +270,13 @@ class RecordingBar(QFrame):
             self._messages.warn("another window could not be started")
 
     def _restart(self) -> None:
-        """Go on with another acquisition; report a recording that a failure has cut off."""
+        """Go on with another acquisition."""
         self._starting = self._asked_disk = None
         acquisition = self._controller.acquisition
         state = None if acquisition is None else acquisition.recording
         was_recording = self._stage in {"recording", "finishing"}
         if was_recording and self._began is not None and (state is None or state.folder != self._began):
-            if self._has_failed:
-                finishes = f"svwfs recover {self._began} finishes it"
-                self._messages.alarm(f"recording {self._began.name} was cut off: {finishes}")
             self._forget()
-        self._has_failed = False
 
     def _record(self, is_on: bool) -> None:
         acquisition = self._controller.acquisition
@@ -300,21 +301,22 @@ class RecordingBar(QFrame):
         self._show_stage(None)
 
     def _finish(self, state: RecordingState) -> None:
-        self._finished = _Finished(state.folder)
+        self._finished = _Finished(state.folder, state)
         self._show_stage(state)
         self.show()
-        if self.name.text() or self.note.text():
+        if (self.name.text() or self.note.text()) and state.problem != _CUT_OFF:  # else when it is recovered
             self._describe()
         else:
             self.recent.add(state.folder)
 
     def _show_stage(self, state: RecordingState | None) -> None:
         self._stage = "" if state is None else state.stage
-        is_over = state is not None and state.is_over
+        is_over, is_cut_off = state is not None and state.is_over, state is not None and state.problem == _CUT_OFF
         for widget in self._of_limit:
             widget.setVisible(not is_over)
         for each in self._uses:
-            each.setVisible(is_over and (each is self.open or bool(state and state.frames)))
+            each.setVisible(is_over and (each is self.open or bool(state and state.frames and not is_cut_off)))
+        self.recover.setVisible(is_cut_off)
         if state is None:
             self.text.setText("Next recording")
             return
@@ -370,6 +372,18 @@ class RecordingBar(QFrame):
         command = "report", folder, "--out", out, "--overwrite"
         begin, end = f"writing the report of {folder.name}", f"the report is in {out}"
         self._run(self.report, command, begin, end, lambda: self._show(out))
+
+    def _recover(self, folder: Path) -> None:
+        def show() -> None:
+            if (finished := self._finished) is not None and finished.folder == folder:
+                self._finish(replace(finished.state, problem=""))
+
+        end = f"recording {folder.name} is complete"
+        self._run(self.recover, ("recover", folder), f"recovering {folder.name}", end, show)
+
+    def _choose_to_recover(self) -> None:
+        if chosen := QFileDialog.getExistingDirectory(self, "Recover a recording", str(self.recordings_folder)):
+            self._recover(Path(chosen))
 
     def _export(self, to: Format, folder: Path) -> None:
         what, suffixes = EXPORT_FORMATS[to]

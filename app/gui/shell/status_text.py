@@ -110,8 +110,10 @@ def _is_old(measurement: Measurement) -> bool:
     return time.perf_counter() - measurement.exposure_end_s > _SLOW_S + 2 * measurement.frame.exposure_s
 
 
-def way_out(status: Status | None) -> str:
-    """Return what a failure has shut down, and what to do."""
+def way_out(status: Status | None, *, is_lost: bool) -> str:
+    """Return what a failure has shut down, unless the instrument is lost, and what to do."""
+    if is_lost:
+        return "reconnect (Ctrl+R)"
     if status is None:
         return "no device is open: reconnect (Ctrl+R)"
     if status.is_replay:

@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import subprocess
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
-from support.patience import HANG_S, own_time
+from support.patience import HANG_S, own_time, wait_until
 from support.served import connected, newest, served
 from support.window_tools import MakeWindow, choose_button, said_in, wait_for_wavefront
 
-from app.acquisition.address import CLOSING_S
+from app.acquisition.address import CLOSING_S, NAME, is_taken
 from app.acquisition.remote.connection import Connection, reach
+from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.remote.server import Server
 from app.acquisition.worker import Acquisition
 from app.errors import RunError
@@ -32,8 +36,11 @@ from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
+from app.recording.reader import Recording
 from app.results.view_maps import Quantity
+from app.run_facts import MAIN
 from reconstruction.reconstructor import Reconstructor
+from reconstruction.runtime.child_process import start_child
 
 pytestmark = pytest.mark.slow
 
@@ -258,3 +265,77 @@ def test_a_window_that_runs_the_instrument_itself_has_nothing_to_leave(
     for command in (window.controller.take_control, window.controller.end_instrument):
         command()
         qtbot.waitUntil(lambda: "runs the instrument itself" in said_in(window))
+
+
+@pytest.fixture
+def gone(quick_toml: Path, runtime_folder: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """`svwfs serve` in a process, to be killed."""
+    with (tmp_path / "log").open("wb") as log:
+        process = start_child(MAIN, "serve", "--bench", str(quick_toml), output=log)
+    assert runtime_folder.is_dir()
+    wait_until(lambda: is_taken(NAME))
+    yield process
+    process.kill()
+    process.wait()
+
+
+@pytest.mark.long
+def test_killed_instrument_is_no_dead_end(
+    gone: subprocess.Popen[bytes], make_window: MakeWindow, tmp_path: Path, qtbot: QtBot
+) -> None:
+    """Nothing untrue is said of its light; the window recovers its recording, and starts another instrument."""
+    window = make_window()
+    window.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
+    qtbot.waitUntil(lambda: window.shown.wavefront is not None)
+    bar = window.recording_bar
+    bar.recordings_folder = tmp_path
+    window.recording_panel.record.click()
+    qtbot.waitUntil(lambda: (state := bar._controller.acquisition) is not None and bool(state.recording))
+    bar.name.setText("mine")
+    qtbot.waitUntil(lambda: "frames" in window.recording_panel.text.text())
+    gone.kill()
+    qtbot.waitUntil(lambda: "should be off; if it shines, switch it off by hand" in said_in(window))
+    assert said_in(window).endswith("reconnect (ctrl+r)")
+    assert "shut down" not in window.messages.log
+    assert window.controls.light.text() == "Light not\nreached"
+    qtbot.waitUntil(lambda: not bar.recover.isHidden())
+    assert not window.recording_panel.record.isChecked()
+    assert bar.replay.isHidden()
+    bar.recover.click()
+    qtbot.waitUntil(lambda: not bar.replay.isHidden())
+    qtbot.waitUntil(lambda: bar.folder is not None and bar.folder.name.endswith("-mine"))
+    assert bar.folder is not None
+    assert Recording(bar.folder).is_complete
+    window.messages.alarm("")
+    window.messages.reconnect.click()
+    qtbot.waitUntil(lambda: "no instrument runs: start one with svwfs serve" in said_in(window))
+    qtbot.wait(500)  # the question stays
+    assert window.messages.accept.text() == "Start it here"
+    window.messages.accept.click()
+    qtbot.waitUntil(lambda: window.shown.measurement is not None and window.shown.wavefront is not None)
+    assert not window.controller.failure
+
+
+def test_window_that_started_its_instrument_retakes_control(
+    server: Server, runtime_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A busy computer kept it silent for too long; a window that only attached watches from then on."""
+    process: Any = SimpleNamespace(pid=os.getpid(), poll=lambda: None, wait=lambda _: None, returncode=None)
+    own = OwnConnection(BENCH, NAME, process, log=runtime_folder, forget_bench=lambda: None)
+    own.wait()
+    assert own.has_control
+    with monkeypatch.context() as silence:
+        silence.setattr("app.acquisition.remote.server._SILENT_S", -1.0)
+        wait_until(lambda: not server._clients)
+    wait_until(lambda: bool(server._clients))
+    own.set_running(True).result(HANG_S)
+    own.goes_on = True
+    own.close()
+    with connected() as attached:
+        assert attached.has_control
+        with monkeypatch.context() as silence:
+            silence.setattr("app.acquisition.remote.server._SILENT_S", -1.0)
+            wait_until(lambda: not attached.has_control)
+        wait_until(lambda: attached.name in attached.clients)
+        assert not attached.has_control
+    assert server.acquisition.is_alive

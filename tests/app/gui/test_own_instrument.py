@@ -21,10 +21,10 @@ from support.window_tools import choose_button, said_in
 
 from app.acquisition.address import NAME, file_of, is_taken
 from app.acquisition.remote.connection import Connection, reach
-from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.remote.own_instrument import OwnInstrument
 from app.bench.config import Bench, load_bench, save_bench
 from app.gui.shell.main_window import MainWindow
+from app.recording.reader import Recording
 
 pytestmark = pytest.mark.slow
 
@@ -48,8 +48,10 @@ def started(monkeypatch: pytest.MonkeyPatch, runtime_folder: Path) -> list[subpr
 def live_window(monkeypatch: pytest.MonkeyPatch, bench: Path, act: Callable[[MainWindow], object], *more: str) -> int:
     """Run `svwfs live`, act on its window, and close that; returns the exit status."""
 
-    def run_window(open_first: Callable[[MainWindow], None], *, make_for: Callable[[Bench], Connection]) -> int:
-        window = MainWindow(make_for=make_for)
+    def run_window(
+        open_first: Callable[[MainWindow], None], *, make_for: Callable[[Bench], Connection], name: str
+    ) -> int:
+        window = MainWindow(make_for=make_for, name=name)
         window.show()
         try:
             open_first(window)
@@ -97,9 +99,9 @@ def is_dark(window: MainWindow) -> bool:
     return status is not None and not status.is_light_on
 
 
-def connection_of(window: MainWindow) -> OwnConnection:
+def connection_of(window: MainWindow) -> Connection:
     connection = window.controller.connection
-    assert isinstance(connection, OwnConnection)
+    assert connection is not None
     assert connection.has_control
     return connection
 
@@ -176,8 +178,16 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
     log = file_of(NAME, "log")
     goes_on = f"the instrument goes on as process {started[0].pid}; its messages go to {log}\n"
     assert goes_on in capsys.readouterr().out
-    assert live_window(monkeypatch, small_toml, lambda _: pytest.fail("a second instrument of this name")) == 1
-    assert "an instrument runs as instrument already: svwfs live --attach shows it" in capsys.readouterr().err
+
+    def attach(window: MainWindow) -> None:
+        qtbot.waitUntil(lambda: "an instrument runs as instrument already" in said_in(window))
+        window.messages.accept.click()
+        qtbot.waitUntil(lambda: is_measured(window))
+        assert "attached" in window.windowTitle()
+        assert connection_of(window).address.process == started[0].pid
+
+    assert live_window(monkeypatch, small_toml, attach) == 0
+    assert len(started) == 1
     with connected("notebook") as notebook:
         assert notebook.has_control
         wait_until(lambda: notebook.newest is not None)
@@ -215,11 +225,15 @@ def test_another_bench_and_a_new_start_have_processes_of_their_own(
         assert "runs the instrument itself" not in window.messages.log
         window.messages.reconnect.click()
         qtbot.waitUntil(lambda: (status := window.controller.status) is not None and status.is_running)
-        assert "recording run 1 was cut off: svwfs recover" in window.messages.log.lower()
-        assert "run 1" not in window.recording_bar.text.text()
+        assert "its instrument has died: recover completes it" in window.messages.log.lower()
+        assert not window.recording_panel.record.isChecked()
         assert connection_of(window).bench == load_bench(other_toml)
         qtbot.waitUntil(lambda: window.controller.is_settled)
         assert is_dark(window)  # as its user left it
+        window.recording_bar.recover.click()
+        qtbot.waitUntil(lambda: "Recording run 1 is complete" in window.messages.log)
+        assert Recording(other_toml.parent / "run 1").is_complete
+        assert window.recording_bar.recover.isHidden()
 
     assert live_window(monkeypatch, small_toml, act) == 0
     assert [each.poll() for each in started] == [0, -signal.SIGSEGV, 0]
