@@ -18,6 +18,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 from support.optics import PAPER, SmallBench, checkerboard
 from support.paths import SMALL_TOML
+from support.posix import HIDDEN, SIGHUP
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import load_bench
@@ -37,6 +38,7 @@ if TYPE_CHECKING:  # Qt is loaded by the tests of the window alone
 
 _END_S = 30.0  # for threads that are about to end, at low priority beside other tests
 _LASTING = ("zarr_io", "asyncio_", "reconstruction_")  # Zarr's, and those of `worker_pool`
+_OF_POSIX = {"lamp_port"}  # fixtures
 _WATCHED = {"gui", "acquisition", "remote"}  # others leave threads of Dask and of process pools
 
 pytest_plugins = ["support.driver_fixtures"]
@@ -74,6 +76,26 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         with (folder / f"{os.environ.get('PYTEST_XDIST_WORKER', 'main')}.csv").open("a") as file:
             file.write(f"{sum(os.times()[:4]) - before:.2f},{item.nodeid}\n")
     return result
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark tests with fixtures that need POSIX, and leave out all with this mark where it is missing."""
+    for item in items:
+        if not _OF_POSIX.isdisjoint(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.posix)
+        if os.name != "posix" and item.get_closest_marker("posix") is not None:
+            item.add_marker(pytest.mark.skip(reason="needs POSIX"))
+
+
+@pytest.fixture(autouse=True)
+def _posix_where_marked(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Hide what Windows lacks from tests without the mark `posix`, which run there."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.node.get_closest_marker("posix") is None:
+            for module, names in HIDDEN.items():
+                for name in names.split():
+                    patch.delattr(module, name, raising=False)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -159,10 +181,10 @@ def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def default_signals() -> Iterator[None]:
     """Hear Ctrl-C and a hangup as in a terminal, even if the shell ignores them, as `nohup` does."""
     interrupt = signal.signal(signal.SIGINT, signal.default_int_handler)
-    hangup = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    hangup = signal.signal(SIGHUP, signal.SIG_DFL)
     yield
     signal.signal(signal.SIGINT, interrupt)
-    signal.signal(signal.SIGHUP, hangup)
+    signal.signal(SIGHUP, hangup)
 
 
 @pytest.fixture(scope="session")

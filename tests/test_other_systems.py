@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -24,27 +25,30 @@ PATHS_OF_ONE_SYSTEM = {
 }
 
 WITHOUT_POSIX = """
-import importlib, os, select, signal, socket, sys
-import cv2, h5netcdf, h5py, matplotlib.pyplot, numba, PyQt6.QtWidgets, pyqtgraph, rich, scipy.optimize, serial
-import psutil, serial.tools.list_ports, tifffile, typer, usb.core, xarray, zarr, zmq
+import importlib, sys
+from support.without_posix import hide_posix
 
-for name in ("fcntl", "grp", "posix", "pty", "pwd", "resource", "syslog", "termios", "tty"):
-    sys.modules[name] = None  # importing it fails
-for module, names in {
-    os: "fork forkpty getuid geteuid getpgid killpg mkfifo nice openpty O_DIRECTORY O_NOFOLLOW O_NONBLOCK setpriority"
-    " setsid sched_getaffinity statvfs sysconf uname",
-    select: "poll epoll",
-    signal: "SIGHUP SIGKILL SIGALRM SIGUSR1 SIGUSR2 SIGCHLD SIGPIPE alarm pthread_kill setitimer",
-    socket: "AF_UNIX",
-}.items():
-    for name in names.split():
-        if hasattr(module, name):
-            delattr(module, name)
+hide_posix()
 sys.platform = "win32"
 sys.modules["msvcrt"] = type(sys)("msvcrt")  # of Windows
 for name in sys.argv[1:]:
     importlib.import_module(name)
 """
+
+
+def loaded(*arguments: str) -> str:
+    """Run Python with the tests' support in its path, and return what it prints."""
+    told = subprocess.run(  # noqa: S603 - our own
+        [sys.executable, *arguments],
+        cwd=ROOT,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "tests")},
+        capture_output=True,
+        text=True,
+        timeout=HANG_S,
+        check=False,
+    )
+    assert told.returncode == 0, told.stdout + told.stderr
+    return told.stdout
 
 
 @pytest.mark.slow
@@ -64,9 +68,21 @@ def test_every_function_of_python_exists_there(system: str, tmp_path: Path) -> N
 @pytest.mark.slow
 @pytest.mark.long
 def test_modules_import_without_posix() -> None:
-    command = [sys.executable, "-c", WITHOUT_POSIX, *MODULES]
-    told = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=HANG_S, check=False)  # noqa: S603 - our own
-    assert told.returncode == 0, told.stderr
+    loaded("-c", WITHOUT_POSIX, *MODULES)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_tests_load_without_posix() -> None:
+    """All of them, so that only the mark `posix` leaves tests out on Windows."""
+    collect = ["-m", "pytest", "-p", "no:cacheprovider", "--collect-only", "-q", "tests"]
+    assert tests_of(loaded(*collect, "-p", "support.without_posix")) == tests_of(loaded(*collect))
+
+
+def tests_of(listed: str) -> list[str]:
+    found = [line for line in listed.splitlines() if "::" in line]
+    assert len(found) > 4000
+    return found
 
 
 def test_paths_of_one_system_are_known() -> None:

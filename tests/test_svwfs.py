@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -263,7 +262,7 @@ def test_numbers_of_frames_and_rounds_are_whole(number: Any, bench: Bench, image
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
+@pytest.mark.posix
 def test_forked_process_can_reconstruct(tmp_path: Path) -> None:
     program = """
 import os, svwfs

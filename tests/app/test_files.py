@@ -6,11 +6,11 @@ import errno
 import ntpath
 import os
 import re
-import resource
 from pathlib import Path
 
 import numpy as np
 import pytest
+from support.posix import resource
 from support.windows import refusing
 
 from app.errors import InputError, RunError
@@ -50,6 +50,7 @@ def test_unwritable_folder_raises_run_error(tmp_path: Path) -> None:
         write_image(tmp_path / "file" / "image.tif", IMAGE)
 
 
+@pytest.mark.posix
 def test_full_disk_is_told_alike_by_images_and_texts(tmp_path: Path) -> None:
     """A limit on the size of files stands for the size of the disk."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -194,6 +195,7 @@ def _umask() -> int:
     return before
 
 
+@pytest.mark.posix
 def test_file_is_on_disk_before_it_gets_its_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path, synced = tmp_path / "run.json", []
 

@@ -48,6 +48,7 @@ def lit_program(port: str, prepare: Callable[[], object]) -> subprocess.Popen[st
     )
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("number", ENDING)
 def test_signal_switches_the_light_off(number: signal.Signals) -> None:
     device = DC4100Wire()
@@ -66,6 +67,7 @@ def test_signal_switches_the_light_off(number: signal.Signals) -> None:
         assert (program.returncode, errors) == (130, "svwfs: interrupted\n")
 
 
+@pytest.mark.posix
 def test_hangup_ignored_by_nohup_ends_nothing() -> None:
     device = DC4100Wire()
     ignoring = lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN)  # noqa: E731 - as nohup does

@@ -287,6 +287,7 @@ def test_lights_go_off_at_interpreter_exit(ending: str) -> None:
     assert ended.returncode == status
 
 
+@pytest.mark.posix
 def test_forked_process_leaves_light_on() -> None:
     code = "if not os.fork(): sys.exit(light.close())\n    os.wait(); print('then', flush=True)"
     program = textwrap.dedent(PROGRAM.format(tests=[str(TESTS), str(Path(__file__).parent)]) + "    " + code + "\n")

@@ -71,7 +71,7 @@ def test_names_that_are_no_words_are_refused(name: str) -> None:
         Address.of(name)
 
 
-@pytest.mark.skipif(os.name != "posix", reason="Windows has a temporary folder for each user")
+@pytest.mark.posix  # Windows has a temporary folder for each user
 def test_desktop_and_cron_find_the_same_folder(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("SVWFS_RUNTIME_DIR")
     found = set[Path]()

@@ -38,11 +38,10 @@ def camera() -> Iterator[StandIn]:
 
 
 @pytest.fixture
-def port(lamp: DC4100Wire, monkeypatch: pytest.MonkeyPatch) -> Iterator[PtyServer]:
+def port(lamp_port: PtyServer, monkeypatch: pytest.MonkeyPatch) -> PtyServer:
     """A port whose stand-in may answer late."""
     monkeypatch.setattr("drivers.serial_lights.thorlabs_dc4100._DIALECT", replace(_DIALECT, timeout_s=HANG_S))
-    with PtyServer(lamp) as server:
-        yield server
+    return lamp_port
 
 
 @pytest.fixture

@@ -234,6 +234,7 @@ def test_recent_frames_are_kept_during_recording(make_live: Callable[..., Live],
     assert last + 1 >= indexes.index(recorded.line(0).camera_index)
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 @pytest.mark.long
 def test_kill_at_random_moment_keeps_all_but_last_frames(quick_toml: Path, tmp_path: Path) -> None:

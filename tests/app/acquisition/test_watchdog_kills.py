@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 from support.patience import HANG_S, wait_until
+from support.posix import SIGHUP, SIGKILL, SIGQUIT, SIGSTOP
 from support.stand_ins.dc4100 import DC4100Wire
 from support.stand_ins.pseudo_terminal import PtyServer
 from support.watchdog_instrument import bench_toml, children, is_gone
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.posix]
 
 KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
 GONE = "the watchdog of the light has ended; the light was switched off: open the bench again"
@@ -63,7 +64,7 @@ sys.exit(acquisition.failure)
 
 def _hear_all() -> None:
     """Die of what jobs of a shell and of `nohup` ignore."""
-    for number in (signal.SIGQUIT, signal.SIGHUP):
+    for number in (SIGQUIT, SIGHUP):
         signal.signal(number, signal.SIG_DFL)
 
 
@@ -89,9 +90,7 @@ def lit_instrument(bench: Path, lamp: DC4100Wire) -> Iterator[subprocess.Popen[s
 
 
 @pytest.mark.parametrize("victim", ["instrument", "watchdog", "all of the terminal"])
-@pytest.mark.parametrize(
-    "number", [signal.SIGKILL, signal.SIGSEGV, signal.SIGQUIT, signal.SIGTERM, signal.SIGHUP, signal.SIGSTOP]
-)
+@pytest.mark.parametrize("number", [SIGKILL, signal.SIGSEGV, SIGQUIT, signal.SIGTERM, SIGHUP, SIGSTOP])
 def test_light_goes_off_whatever_dies_or_freezes(
     lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, victim: str, number: signal.Signals
 ) -> None:
@@ -114,7 +113,7 @@ def test_light_goes_off_whatever_dies_or_freezes(
             if victim == "watchdog":
                 assert GONE in errors
                 assert program.returncode == 1
-            elif number == signal.SIGSTOP:
+            elif number == SIGSTOP:
                 assert "the acquisition gave no sign of life for" in errors
 
 
@@ -146,7 +145,7 @@ def test_light_goes_off_if_the_process_freezes_amid_long_work(
         time.sleep(2.0)
         assert lamp.is_lit
         lightings = lamp.log.lightings
-        program.send_signal(signal.SIGSTOP)
+        program.send_signal(SIGSTOP)
         wait_until(lambda: not lamp.is_lit)
         if wakes:
             program.send_signal(signal.SIGCONT)

@@ -129,6 +129,7 @@ def test_errors_of_the_light_come_through(light: LightSource, lamp: DC4100Wire, 
         _ = light.current_a
 
 
+@pytest.mark.posix
 def test_light_that_cannot_be_opened_leaves_no_process(lamp_port: PtyServer) -> None:
     lamp_port.close()
     before = children(os.getpid())
@@ -137,6 +138,7 @@ def test_light_that_cannot_be_opened_leaves_no_process(lamp_port: PtyServer) -> 
     assert children(os.getpid()) == before
 
 
+@pytest.mark.posix
 def test_dead_watchdog_whose_light_is_gone_says_that_it_may_be_on(lamp_port: PtyServer) -> None:
     before = children(os.getpid())
     light = WatchdogLight(DC4100Settings(port=lamp_port.port))
@@ -149,6 +151,7 @@ def test_dead_watchdog_whose_light_is_gone_says_that_it_may_be_on(lamp_port: Pty
     light.close()
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 def test_light_whose_call_hangs_is_taken_back(
     reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -163,6 +166,7 @@ def test_light_whose_call_hangs_is_taken_back(
         assert not lamp.is_lit
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 def test_watchdog_whose_call_hangs_ends_if_the_instrument_was_killed(
     lamp_port: PtyServer, lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -223,6 +227,7 @@ def replace_method(name: str, expression: str, folder: Path, monkeypatch: pytest
     monkeypatch.syspath_prepend(folder)
 
 
+@pytest.mark.posix
 def test_death_of_a_watchdog_whose_pipe_stays_open_is_noticed(
     reopen: Callable[[], LightSource], lamp: DC4100Wire, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -258,6 +263,7 @@ def test_light_that_is_closed_as_its_watchdog_dies_is_known_to_be_off(
     assert "may still be on" not in said
 
 
+@pytest.mark.posix
 def test_late_answer_to_a_call_that_ctrl_c_ended_is_passed_over(light: WatchdogLight, lamp: DC4100Wire) -> None:
     light.set_current(0.25)
     lamp.faults.append(LineFault("late", 0.3))
@@ -295,7 +301,7 @@ def test_pipe_of_the_watchdog_is_no_standard_input(
         assert light.properties() == {"is pipe": False}
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="there a process is suspended by other means")
+@pytest.mark.posix
 def test_process_is_alive_frozen_or_gone() -> None:
     with subprocess.Popen(["sleep", "600"]) as process:  # noqa: S607 - of every system
 

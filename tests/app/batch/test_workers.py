@@ -22,6 +22,7 @@ from distributed.comm.core import connect
 from support.batches import batch, files_of, small_blocks
 from support.command_line import run
 from support.patience import HANG_S
+from support.posix import SIGKILL
 from support.recordings import record
 
 from app.batch import workers as workers_module
@@ -86,7 +87,7 @@ class Killing:
     def _kill(self) -> int:
         living = [pid for pid in self._on._client.run(os.getpid, on_error="ignore").values() if isinstance(pid, int)]
         pid = sorted(living)[len(self.killed) % len(living)]
-        os.kill(pid, signal.SIGKILL)
+        os.kill(pid, SIGKILL)
         return pid
 
 
@@ -259,6 +260,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 @pytest.mark.long
 def test_ctrl_c_stops_cleanly(recording: Recording, alone: dict[str, bytes], tmp_path: Path) -> None:

@@ -112,6 +112,7 @@ def patience(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(thorlabs_dc4100, "_DIALECT", replace(thorlabs_dc4100._DIALECT, timeout_s=60.0))
 
 
+@pytest.mark.posix
 @pytest.mark.slow
 @pytest.mark.usefixtures("patience")
 @pytest.mark.parametrize("shows", [False, True])

@@ -63,7 +63,7 @@ def test_unusable_input_is_one_sentence(
     assert sorted(tmp_path.iterdir()) == before
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no named pipes in folders")
+@pytest.mark.posix
 def test_pipe_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     os.mkfifo("pipe")
     assert run(monkeypatch, "mask", "pipe", "--out", "m.svg") == 2

@@ -289,6 +289,7 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
     assert started[0].wait(HANG_S) == 0
 
 
+@pytest.mark.posix
 def test_window_acts_while_its_instrument_starts(
     stopped: list[subprocess.Popen[bytes]], small_toml: Path, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -313,6 +314,7 @@ def test_window_acts_while_its_instrument_starts(
     assert not is_taken(NAME)
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("is_read", [True, False])
 def test_light_that_is_switched_off_while_the_instrument_starts_never_shines(
     stopped: list[subprocess.Popen[bytes]],

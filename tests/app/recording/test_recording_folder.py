@@ -69,6 +69,7 @@ def test_everything_a_frame_needs_is_on_disk_before_its_line(
     assert len(files) >= 14
 
 
+@pytest.mark.posix
 def test_files_are_on_disk_before_the_folders_that_name_them(
     tmp_path: Path, small_bench: SmallBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

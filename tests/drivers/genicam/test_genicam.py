@@ -34,6 +34,8 @@ NUMBERED = GenicamSettings(
     device=SERIAL, pixel_pitch_m=5e-6, exposure_s=0.01, frame_rate_hz=70.0, region=Region(8, 16, 96, 128), gain=0.0
 )
 
+pytestmark = pytest.mark.posix  # its stand-in is stopped by signals
+
 try:
     load_aravis()
 except Unsupported as error:

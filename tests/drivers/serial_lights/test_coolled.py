@@ -41,6 +41,7 @@ class TestContract(SerialLightContract):
     """In memory."""
 
 
+@pytest.mark.posix
 class TestContractOnAPort(LightFaultContract):
     @pytest.fixture
     def faults(self) -> Iterator[PtyFaults]:

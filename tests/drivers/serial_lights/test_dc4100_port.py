@@ -25,6 +25,7 @@ from drivers.serial_lights._line import Wire
 from drivers.serial_lights.thorlabs_dc4100 import ThorlabsDC4100
 
 
+@pytest.mark.posix
 class TestContractOnAPort(LightFaultContract):
     @pytest.fixture
     def faults(self) -> Iterator[PtyFaults]:
@@ -39,6 +40,7 @@ class TestContractOnAPort(LightFaultContract):
         return lambda: ThorlabsDC4100(DC4100Settings(port=faults.server.port), wire=faults.wire)
 
 
+@pytest.mark.posix
 def test_unplugged_port_between_commands_raises() -> None:
     with PtyServer(DC4100Wire()) as server:
         light = ThorlabsDC4100(DC4100Settings(port=server.port), wire=patient_wire(server))
@@ -50,6 +52,7 @@ def test_unplugged_port_between_commands_raises() -> None:
         light.close()
 
 
+@pytest.mark.posix
 def test_unplugged_port_during_command_reopens_when_plugged_in() -> None:
     device = DC4100Wire()
     with PtyServer(device) as server:
@@ -68,6 +71,7 @@ def test_unplugged_port_during_command_reopens_when_plugged_in() -> None:
     assert not device.is_lit
 
 
+@pytest.mark.posix
 def test_port_held_by_other_program_is_busy() -> None:
     with (
         PtyServer(DC4100Wire()) as server,
@@ -121,6 +125,7 @@ sys.stdin.readline()
 WITHOUT_DEL = "from drivers.light_source import LightSource; del LightSource.__del__"
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize("ending", ["sys.exit(3)", "raise RuntimeError", "del light", "while True: pass", WITHOUT_DEL])
 def test_light_goes_off_at_interpreter_exit(ending: str) -> None:
     device = DC4100Wire()

@@ -4,10 +4,10 @@ import os
 import select
 import threading
 import time
-import tty
 from collections import deque
 from typing import Self
 
+from support.posix import tty
 from support.stand_ins.serial import LineDevice
 
 _SLICE_S = 0.005

@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 from support.command_line import run
 from support.patience import HANG_S, own_time, wait_until
+from support.posix import SIGKILL, SIGSTOP
 from support.served import connected
 
 from app.acquisition.address import NAME, is_taken, runtime_folder
@@ -28,11 +29,7 @@ from app.errors import RunError
 from app.recording.folder import FRAME_LINES
 from app.recording.reader import Recording
 
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.usefixtures("runtime_folder"),
-    pytest.mark.skipif(os.name != "posix", reason="signals of POSIX"),
-]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder"), pytest.mark.posix]
 
 KILLS = int(os.environ.get("SVWFS_KILLS", "1"))
 CRASHES = [signal.SIGSEGV] if KILLS > 1 else []  # for the others the same as a kill
@@ -120,7 +117,7 @@ def recording_client(folder: Path, code: str = CLIENT) -> Iterator[subprocess.Po
         yield made
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, *CRASHES])
+@pytest.mark.parametrize("how", [SIGKILL, *CRASHES])
 def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: signal.Signals, small_toml: Path) -> None:
     for _ in range(KILLS):
         with instrument(small_toml) as running, connected() as connection:
@@ -141,7 +138,7 @@ def test_clients_notice_the_death_of_the_instrument_and_nothing_is_left(how: sig
 def test_a_frozen_instrument_is_shown_and_goes_on(small_toml: Path) -> None:
     with instrument(small_toml) as running, connected() as connection:
         wait_for_wavefront(connection)
-        running.send_signal(signal.SIGSTOP)
+        running.send_signal(SIGSTOP)
         wait_until(lambda: "does not answer" in connection.activity.text)
         assert connection.is_alive
         running.send_signal(signal.SIGCONT)
@@ -161,17 +158,17 @@ def test_clients_see_the_state_of_each_process(small_toml: Path, tmp_path: Path)
         are("alive", "alive")
         assert connection.processes[0].pid == running.pid
         background_estimator = connection.processes[1].pid
-        os.kill(background_estimator, signal.SIGSTOP)
+        os.kill(background_estimator, SIGSTOP)
         are("alive", "frozen")
-        os.kill(background_estimator, signal.SIGKILL)
+        os.kill(background_estimator, SIGKILL)
         are("alive", "gone")
-        running.send_signal(signal.SIGSTOP)
+        running.send_signal(SIGSTOP)
         are("frozen")
-        running.send_signal(signal.SIGKILL)
+        running.send_signal(SIGKILL)
         are("gone")
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, *CRASHES, signal.SIGSTOP])
+@pytest.mark.parametrize("how", [SIGKILL, *CRASHES, SIGSTOP])
 @pytest.mark.parametrize("code", [CLIENT, pytest.param(WINDOW, marks=pytest.mark.long)], ids=["client", "window"])
 def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
     how: signal.Signals, code: str, small_toml: Path, tmp_path: Path
@@ -185,7 +182,7 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
                 assert watching.controller.startswith("client")
                 client.send_signal(how)
                 wait_until(lambda: not watching.controller)
-                assert (client.poll() is None) is (how == signal.SIGSTOP)
+                assert (client.poll() is None) is (how == SIGSTOP)
                 watching.take_control().result(HANG_S)
                 wait_for_more(watching)
                 state = watching.recording
@@ -201,7 +198,7 @@ def test_a_client_that_dies_or_freezes_changes_nothing_but_who_has_control(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("how", [signal.SIGKILL, *CRASHES, signal.SIGSTOP])
+@pytest.mark.parametrize("how", [SIGKILL, *CRASHES, SIGSTOP])
 def test_instrument_of_a_window_that_dies_or_freezes_goes_on(
     how: signal.Signals, small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
