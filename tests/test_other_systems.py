@@ -80,7 +80,7 @@ def test_tests_load_without_posix() -> None:
 
 
 def tests_of(listed: str) -> list[str]:
-    found = [line for line in listed.splitlines() if "::" in line]
+    found = [line.partition("[")[0] for line in listed.splitlines() if "::" in line]  # a signal has another number
     assert len(found) > 4000
     return found
 
