@@ -1,8 +1,13 @@
 """Replay of a recording in the live view, each frame with its own calibration."""
 
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
+
+import numpy as np
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import RunningInstrument
@@ -10,11 +15,25 @@ from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.measurement import Measurement
+from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.playback_devices import RecordedCamera, playback_devices
 from app.recording.reader import Recording
 from app.results.replay import change_of
 from drivers.interface import Devices, Frame, FrameLost, WrongState
+from reconstruction.arrays import Floats
+
+Fault: TypeAlias = Literal["dark", "saturated", "bad"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overview:
+    """Course of a recording as it was live, by position in the played frames."""
+
+    time_s: Floats  # since the first frame, (frame,)
+    rms_rad: Floats  # mean over the views, (frame,); NaN without a wavefront
+    valid: Floats  # number of lenslets, (frame,); NaN without a wavefront
+    is_dark: frozenset[int]  # frames that were taken with the light off
+    faults: dict[int, tuple[Fault, str]]  # kind and reason of each frame that has one
 
 
 class Player:
@@ -31,6 +50,7 @@ class Player:
         self._recording = Recording(folder)
         self.folder, self.frames = folder, self._recording.select(frames)
         self.position: int | None = None
+        self._recent: deque[tuple[float, int]] = deque(maxlen=100)  # camera time and position
         self._speed = 1.0
         self._change = change_of(None if bench is None else load_bench(bench, settings), settings)
         self._camera: RecordedCamera | None = None
@@ -61,7 +81,7 @@ class Player:
         used = self._use(acquisition, self._first)
         return (used, acquisition.set_light_on(True), acquisition.set_sample_in(True), acquisition.set_running(True))
 
-    def take(self, _: Measurement) -> None:
+    def take(self, measurement: Measurement) -> None:
         """Between two frames, set the calibration of the next if it is another.
 
         The camera holds that frame back until then, because a slow computer might read it before.
@@ -69,6 +89,7 @@ class Player:
         if self._camera is None or self._acquisition is None:
             return
         self.position = self.frames.index(self._camera.line.index)
+        self._recent.append((measurement.frame.camera_time_s, self.position))
         number = self._camera.next_calibration
         if number is not None and number != self._asked:
             self._asked = number
@@ -103,6 +124,32 @@ class Player:
     def damaged(self) -> dict[int, str]:
         """Reason of each damaged frame that was met, by its position in `frames`."""
         return {} if self._camera is None else dict(self._camera.damaged)
+
+    def position_of(self, frame: Frame) -> int | None:
+        """Return the position of a frame that was played lately."""
+        return next((position for time_s, position in reversed(self._recent) if time_s == frame.camera_time_s), None)
+
+    def overview(self) -> Overview:
+        """Read the lines of all played frames, which takes a second for ten thousand."""
+        count = len(self.frames)
+        time_s, rms_rad, valid = np.zeros(count), np.full(count, np.nan), np.full(count, np.nan)
+        is_dark, faults = set[int](), dict[int, tuple[Fault, str]]()
+        for position, index in enumerate(self.frames):
+            try:
+                line = self._recording.line(index)
+            except InputError as error:
+                time_s[position], faults[position] = time_s[max(position - 1, 0)], ("bad", str(error))
+                continue
+            time_s[position] = line.host_time_s
+            if line.rms_rad is not None and line.valid is not None:
+                rms_rad[position], valid[position] = line.rms_rad, line.valid
+            if line.is_light_on is False:
+                is_dark.add(position)
+                faults[position] = "dark", "the light was off"
+            elif line.problem and line.problem != SKIPPED:
+                faults[position] = "saturated" if "saturated" in line.problem else "bad", line.problem
+        known_s = time_s[time_s > 0]
+        return Overview(np.maximum(time_s - known_s[:1].sum(), 0), rms_rad, valid, frozenset(is_dark), faults)
 
     def set_speed(self, speed: float) -> None:
         """Play at a multiple of the recorded rate."""

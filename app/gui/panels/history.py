@@ -11,7 +11,7 @@ from PyQt6.QtGui import QFontMetrics
 from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLineEdit, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.panels.panel import DisplayState, Entries, Panel, Request, Verdict
+from app.gui.panels.panel import Check, DisplayState, Entries, Panel, Request, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Toggle, close_button
 from app.gui.widgets.copies import ask_file
@@ -205,7 +205,13 @@ class HistoryPanel(Panel):
             return None
         full_scale, temperature_c = status.capabilities.full_scale, status.temperature_c
         take = partial(sample, measurement, wavefront, full_scale=full_scale, temperature_c=temperature_c)
-        return Request(measurement, None, lambda _: take(), _INTERVAL_S)
+        replayed = self.shown.replayed
+
+        def of_recording(_: Check) -> tuple[float, dict[str, float]]:
+            time_s, values = take()
+            return time_s if replayed is None else replayed[1], values
+
+        return Request(measurement, None, of_recording, _INTERVAL_S)
 
     def show_result(self, found: tuple[float, dict[str, float]]) -> None:
         time_s, values = found
@@ -222,6 +228,8 @@ class HistoryPanel(Panel):
         self._arrange()
 
     def add(self, time_s: float, values: dict[str, float]) -> None:
+        if self._newest is not None and time_s < self._newest[0]:  # a replay went back
+            self.history = History()
         self.history.add(time_s, values)
         self._newest = time_s, values
         self.refresh()

@@ -57,6 +57,7 @@ class DisplayState(QObject):
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.options = ""  # of the display, in words
+        self.replayed: tuple[str, float] | None = None  # name and time, s, of the shown frame of a recording
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()

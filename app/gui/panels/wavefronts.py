@@ -232,7 +232,8 @@ class WavefrontPanel(Panel):
 
     def _store(self) -> None:
         if self._newest is not None:
-            name = f"that of {datetime.now().astimezone():%H:%M:%S}"
+            now = f"{datetime.now().astimezone():%H:%M:%S}"
+            name = f"that of {now if self.shown.replayed is None else self.shown.replayed[0]}"
             self.menu.change(stored=self._display.store(self._newest, name))
 
     def _choose_file(self) -> None:

@@ -316,6 +316,7 @@ class MainWindow(QMainWindow):
 
     def show_measurement(self, measurement: Measurement) -> None:
         is_first, self.shown.measurement = self.shown.measurement is None, measurement
+        self.replay.show_measurement(measurement)
         for panel in self.panels:
             panel.show_measurement(measurement)
         self.status_line.count(measurement)
@@ -370,8 +371,7 @@ class MainWindow(QMainWindow):
         elif path.suffix == ".toml":
             self.benches.open(str(path))
         elif path.suffix.lower() in SUFFIXES:
-            text = f"{path.name} is shown, reconstructed with the present reference; Space returns to the camera"
-            self.controller.send(lambda to: to.show_file(path), lambda _: self.messages.inform(text))
+            self.controller.send(lambda to: to.show_file(path))  # a badge says so
         else:
             kinds = "a recording's folder, a bench (.toml) or a frame (.tif, .fits, .png, .npy)"
             self.messages.warn(f"{path.name}: drop {kinds}")

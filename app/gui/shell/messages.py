@@ -1,5 +1,6 @@
 """Messages: the strip that shows the most important one, and the log of all."""
 
+import re
 import time
 from collections import deque
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from app.gui.widgets.buttons import Button
 from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import ElidedLabel, colour_text
 
+_NUMBER = re.compile(r"[\d.,]*\d")
 _NOTICE_S = 8.0  # how long a notice is shown
 
 
@@ -135,8 +137,9 @@ class MessageStrip(QFrame):
         if failure and failure != self._standing.get("failure"):
             self._question = ""  # no device is left to apply it
         for name, text in (("failure", failure), ("warning", warning)):
-            if self._standing.get(name) != text:
-                self._standing[name] = text
+            is_same = _NUMBER.sub("", self._standing.get(name, "")) == _NUMBER.sub("", text)
+            self._standing[name] = text
+            if not is_same:  # a number alone may change ten times a second
                 self._say(text)
         self.reconnect.setVisible(bool(failure) and may_reconnect and not self._asks)
         self.control.setVisible(may_take_control and not failure)

@@ -1,37 +1,105 @@
 """The replay bar: play, step, position and speed of a recording in place of the devices."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from functools import partial
 
-from PyQt6.QtCore import QSignalBlocker, Qt
-from PyQt6.QtGui import QPainter, QPaintEvent
-from PyQt6.QtWidgets import QFrame, QSlider, QStyle
+import numpy as np
+from PyQt6.QtCore import QPointF, QSignalBlocker, Qt
+from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
+from PyQt6.QtWidgets import QFrame, QSlider
 
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
+from app.gui.shell.menus import listing_menu
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice
+from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.texts import label
+from app.measurement.measurement import Measurement
 from app.recording.recover import frames_in_words
-from app.results.player import Player
+from app.results.player import Overview, Player
+from reconstruction.arrays import Floats
 
 _NAMES = ("\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}", "1", "2", "4")
 _SPEEDS = {f"\N{MULTIPLICATION SIGN} {name}": 0.25 * 2**index for index, name in enumerate(_NAMES)}
 
 
-class _Slider(QSlider):
-    """Slider with red marks at some of its values."""
+_COLOURS = {"bad": theme.RED, "saturated": theme.AMBER, "dark": theme.DIM}  # of marks
+_POINTS = 1000  # of a curve, and places of marks
+_MARGIN_PX = 3
+_MARK_PX = 5  # height
+_MOST_LISTED = 40  # frames with a fault
+_ABOUT = (
+    "Click or drag: go to a frame. Blue: RMS of each frame as it was recorded; green: number of valid lenslets.\n"
+    "Marks: red for bad frames, amber for saturated, grey for dark ones."
+)
 
-    marked: frozenset[int] = frozenset()
 
-    def paintEvent(self, event: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().paintEvent(event)
-        painter, style = QPainter(self), self.style()
-        handle = 0 if style is None else style.pixelMetric(QStyle.PixelMetric.PM_SliderLength, None, self)
-        for value in self.marked:
-            x = QStyle.sliderPositionFromValue(self.minimum(), self.maximum(), value, self.width() - handle)
-            painter.fillRect(x + handle // 2 - 1, 0, 2, self.height(), theme.RED)
+class Timeline(QSlider):
+    """Position in a recording over its time, with curves of RMS and valid lenslets, and marks."""
+
+    def __init__(self) -> None:
+        super().__init__(Qt.Orientation.Horizontal)
+        self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.setToolTip(_ABOUT)
+        self.setAccessibleName("Position in the recording")
+        self.setMinimumHeight(2 * self.fontMetrics().height())
+        self._curves: list[tuple[QColor, Floats, Floats]] = []  # colour, place and height, of 1; NaN in gaps
+        self.show_overview(None, frozenset())
+
+    def show_overview(self, overview: Overview | None, damaged: frozenset[int]) -> None:
+        """Show the course of a recording, or only its length, and mark `damaged` positions as bad."""
+        self.marked, count = damaged, self.maximum() + 1
+        time_s = np.arange(count) if overview is None else overview.time_s
+        self._place = time_s / max(float(time_s[-1]), 1e-9)  # of each position, of 1
+        kinds = {} if overview is None else {position: kind for position, (kind, _) in overview.faults.items()}
+        kinds |= dict.fromkeys(damaged, "bad")
+        self._marks = {round(_POINTS * self._place[position]): _COLOURS[kind] for position, kind in kinds.items()}
+        self._curves.clear()
+        if overview is not None:
+            first = np.arange(0, count, -(-count // _POINTS))
+            curves = (theme.GREEN, overview.valid, np.fmin), (theme.ACCENT, overview.rms_rad, np.fmax)
+            for colour, values, extreme in curves:
+                height = extreme.reduceat(values, first) / max(float(np.nanmax(values, initial=0)), 1e-9)
+                self._curves.append((colour, self._place[first], height))
+        self.update()
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
+        painter, height = QPainter(self), self.height() - _MARK_PX - 2
+        painter.fillRect(self.rect(), theme.RAISED)
+        for colour, place, of_1 in self._curves:
+            painter.setPen(QPen(colour, 1))
+            x, y = _MARGIN_PX + self._reach_px * place, height - (height - 2) * of_1
+            for part in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(y))):
+                known = part[~np.isnan(y[part])]
+                painter.drawPolyline(QPolygonF([QPointF(x[at], y[at]) for at in known]))
+        for place, colour in self._marks.items():
+            x = _MARGIN_PX + round(self._reach_px * place / _POINTS)
+            painter.fillRect(x - 1, self.height() - _MARK_PX, 3, _MARK_PX, colour)
+        x = _MARGIN_PX + round(self._reach_px * self._place[self.value()])
+        painter.fillRect(x - 1, 0, 2, self.height(), theme.TEXT)
+        if self.hasFocus():
+            painter.setPen(theme.ACCENT)
+            painter.drawRect(self.rect().adjusted(0, 0, -1, -1))
+
+    @property
+    def _reach_px(self) -> int:
+        return self.width() - 2 * _MARGIN_PX
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        if event is not None and event.button() == Qt.MouseButton.LeftButton:
+            self.setSliderDown(True)
+            self.mouseMoveEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        if event is not None and self.isSliderDown():
+            place = (event.position().x() - _MARGIN_PX) / self._reach_px
+            self.setValue(int(np.abs(self._place - place).argmin()))
+
+    def mouseReleaseEvent(self, _: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
+        self.setSliderDown(False)
 
 
 class ReplayBar(QFrame):
@@ -53,17 +121,20 @@ class ReplayBar(QFrame):
         self.play = Button("Play", "Play or pause (Space)", controls.start.click)
         self.back = Button("\N{LEFTWARDS ARROW}", "Previous frame (,)", lambda: self._step(-1))
         self.forth = Button("\N{RIGHTWARDS ARROW}", "Next frame (.)", lambda: self._step(1))
-        self.slider = _Slider(Qt.Orientation.Horizontal)
-        self.slider.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.slider.setToolTip("Position in the recording")
+        self.slider = Timeline()
         self.slider.valueChanged.connect(self._move)
-        self.text = label("")
+        self.time, self.text = label(""), label("")
+        self.time.setMinimumWidth(self.time.fontMetrics().horizontalAdvance("00000.00 s"))
+        self.faults = Button("Bad frames", "Frames that are bad, saturated or dark; choose one to see it")
+        self.faults.setMenu(listing_menu(self, self._faults))
+        self._reading = FileWork(self, warn)
+        self._overview: Overview | None = None
         self.speed = Choice("Speed beside that of the recording; a slow computer skips frames", _SPEEDS.items())
         self.speed.setCurrentIndex(list(_SPEEDS.values()).index(1.0))
         self.speed.activated.connect(lambda _: self._set_speed())
         steps = self.back, self.play, self.forth
-        parts = self.badge, *steps, (self.slider, 1), self.text, label("Speed", "dim"), self.speed
-        fill_strip(self, *parts)
+        parts = self.badge, *steps, (self.slider, 1), self.time, self.text, self.faults
+        fill_strip(self, *parts, label("Speed", "dim"), self.speed)
         self.use(None)
 
     def use(self, player: Player | None) -> None:
@@ -71,7 +142,8 @@ class ReplayBar(QFrame):
         if self._player is not None and player is None:
             self._controls.enable_devices(is_enabled=True)
         self._player, self._wanted, self._moving = player, None, None
-        self.slider.marked = frozenset()
+        self._overview, self._controls.shown.replayed = None, None
+        self._reading.forget()
         self.setVisible(player is not None)
         for step in (self.back, self.forth):
             step.setEnabled(player is not None)
@@ -81,8 +153,19 @@ class ReplayBar(QFrame):
         with QSignalBlocker(self.slider):  # it stands where the recording before was
             self.slider.setRange(0, len(player.frames) - 1)
             self.slider.setValue(0)
+        self.slider.show_overview(None, frozenset())
+        self._reading.run(player.overview, self._show_overview)
         last = player.frames[-1]
         self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last} ... {last}  "))
+
+    def show_measurement(self, measurement: Measurement | None) -> None:
+        """Tell the panels which recorded frame this is, and when it was taken; show its light."""
+        player, overview = self._player, self._overview
+        position = None if player is None or measurement is None else player.position_of(measurement.frame)
+        if player is None or position is None or overview is None:
+            return
+        self._controls.shown.replayed = f"frame {player.frames[position]}", float(overview.time_s[position])
+        self._controls.light.setText(f"Light\nwas {'off' if position in overview.is_dark else 'on'}")
 
     def show_status(self, status: Status) -> None:
         """Show whether the recording plays; disable the devices, which the status has enabled."""
@@ -90,6 +173,7 @@ class ReplayBar(QFrame):
             self._controls.enable_devices(is_enabled=False)
             self.play.setText("Pause" if status.is_running else "Play")
             self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
+            self.show_measurement(self._controls.shown.measurement)
 
     def refresh(self) -> None:
         """Show the position, and go to the wanted one as soon as the last move is done; called at each refresh."""
@@ -123,10 +207,24 @@ class ReplayBar(QFrame):
         if new := sorted(damaged.keys() - self.slider.marked):
             names = frames_in_words([player.frames[position] for position in new])
             self._warn(f"{names} skipped: {damaged[new[-1]]}")
-            self.slider.marked = frozenset(damaged)
-            self.slider.update()
+            self.slider.show_overview(self._overview, frozenset(damaged))
+
+    def _show_overview(self, overview: Overview) -> None:
+        self._overview = overview
+        self.slider.show_overview(overview, self.slider.marked)
+        self.faults.setText(f"Bad frames: {len(overview.faults)}")
+
+    def _faults(self) -> Iterator[tuple[str, Callable[[], object]]]:
+        """Yield the frames with a fault, and what goes to each."""
+        if self._player is None or self._overview is None:
+            return
+        for position, (kind, reason) in sorted(self._overview.faults.items())[:_MOST_LISTED]:
+            place = f"frame {self._player.frames[position]}, {self._overview.time_s[position]:.2f} s"
+            yield f"{place}, {kind}: {reason}", partial(self.slider.setValue, position)
 
     def _write(self, position: int) -> None:
+        if self._overview is not None:
+            self.time.setText(f"{self._overview.time_s[position]:.2f} s")
         if self._player is not None:
             frames = self._player.frames
             self.text.setText(f"frame {frames[position]} of {frames[0]} ... {frames[-1]}")

@@ -2,6 +2,7 @@
 
 import math
 import time
+from dataclasses import replace
 
 from app.acquisition.instrument import Activity, Status
 from app.gui.panels.panel import DataFreshness
@@ -40,8 +41,11 @@ class AlarmTracker:
             self._conditions, self._changed_s = conditions, time.perf_counter()
         if activity.text:
             return ""
-        is_present = measurement is not None and measurement.exposure_end_s >= self._changed_s
-        if measurement is None or not status.is_running or not is_present:
+        if measurement is None:
+            return warning(status)
+        if measurement.file or status.is_replay:  # the light shines on neither
+            status = replace(status, is_light_on=True)
+        elif measurement.exposure_end_s < self._changed_s:
             return warning(status)
         return warning(status, measurement.problem, measurement.wavefront, measurement.quality)
 
@@ -101,7 +105,9 @@ def advice(status: Status | None, activity: Activity, measurement: Measurement |
     if not status.is_running:
         return "the replay is paused: Space plays it" if status.is_replay else _STOPPED
     if measurement is not None and _is_old(measurement):
-        return "slow method: still reconstructing a frame; your command waits until it is done"
+        is_slow = measurement.latency_s > _SLOW_S
+        took = f": the method needs {measurement.latency_s:.0f} s for each" if is_slow else ""
+        return f"no newer frame has come for {time.perf_counter() - measurement.exposure_end_s:.0f} s{took}"
     return status.mask_note or "F1 shows keys and conventions"
 
 

@@ -20,7 +20,7 @@ from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.instrument import Activity
 from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
-from app.gui.shell.status_text import AlarmTracker, data_freshness
+from app.gui.shell.status_text import AlarmTracker, advice, data_freshness
 from app.gui.widgets.enlarged_view import EnlargedView, SurfaceView
 from app.recording.playback_devices import RecordedLight
 from drivers.interface import Disconnected
@@ -76,7 +76,7 @@ def test_alarm_is_about_frames_of_the_present_conditions() -> None:
     """An alarm about an earlier frame ends when, for example, the exposure is changed."""
     names, good = ("bench", "mask", "is_sample_in", "exposure_s", "warning"), AverageState("20 frames")
     well: Any = SimpleNamespace(**dict.fromkeys(names, ""), dark=good, reference=good, is_light_on=True)
-    well.is_running = True
+    well.is_running, well.is_replay = True, False
     situation, before_s = AlarmTracker(), time.perf_counter()
     assert not situation.alarm(well, Activity(), None)
     problem = replace(make_measurement(dim_frame(), views()), problem="too dark", wavefront=None)
@@ -111,6 +111,33 @@ def test_stopped_frame_keeps_its_colours_and_disconnected_one_is_grey(
     qtbot.waitUntil(lambda: is_grey(window))
     assert "unplugged" in badges(window)[1]
     assert "DISCONNECTED" in badges(window)[2]
+
+
+@pytest.mark.slow
+def test_frame_of_a_file_without_wavefront_gives_the_reason(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+) -> None:
+    """Also with the light off, which did not shine on it."""
+    window, camera = live
+    tifffile.imwrite(tmp_path / "dim.tif", np.full(camera._images[0].shape, 501, np.uint16))
+    window.controls.light.click()
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light off")
+    window.open_file(tmp_path / "dim.tif")
+    qtbot.waitUntil(lambda: badges(window)[0] == "FILE dim.tif")
+    assert window.shown.measurement is not None
+    reason = window.shown.measurement.problem
+    assert reason
+    qtbot.waitUntil(lambda: window.messages.text.text().lower() == reason.lower())
+
+
+def test_late_frame_is_not_blamed_on_a_slow_method_or_a_command(live: tuple[MainWindow, FakeCamera]) -> None:
+    window, _ = live
+    status, newest = window.controller.status, window.shown.measurement
+    assert status is not None
+    assert newest is not None
+    old = replace(newest, exposure_end_s=time.perf_counter() - 7.0, latency_s=0.02)
+    assert advice(status, Activity(), old) == "no newer frame has come for 7 s"
+    assert advice(status, Activity(), replace(old, latency_s=4.0)).endswith("7 s: the method needs 4 s for each")
 
 
 @pytest.mark.slow

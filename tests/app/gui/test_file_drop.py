@@ -109,7 +109,7 @@ def test_frame_is_reconstructed_until_the_camera_starts(
     reference = 500 + 40000 * camera._images[0]
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(reference).astype(np.uint16))
     drop(window, tmp_path / "flat.tif")
-    qtbot.waitUntil(lambda: "  flat.tif is shown" in window.messages.log)
+    qtbot.waitUntil(lambda: window.panels.camera.badge.text() == "FILE flat.tif")
     newest = window.controller.acquisition.newest
     assert newest is not None
     np.testing.assert_array_equal(newest.frame.pixels, np.rint(reference).astype(np.uint16))

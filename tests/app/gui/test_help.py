@@ -45,6 +45,9 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     window.messages.show_state(failure="", warning="dark is stale", advice="")
     window.messages.show_state(failure="", warning="dark is stale", advice="")
     assert dialog.view.toPlainText().count("Dark is stale") == 1  # at once, not at every refresh
+    for share in ("1.5", "12", "13"):
+        window.messages.show_state(failure="", warning=f"{share} % stray light", advice="")
+    assert dialog.view.toPlainText().count("stray light") == 1  # its number alone has changed
     dialog.copy.click()
     clipboard = QApplication.clipboard()
     assert clipboard is not None

@@ -123,9 +123,7 @@ def test_name_given_afterwards_renames_the_folder(
     press(qtbot, bar.name, Qt.Key.Key_Escape)
     assert bar.name.text() == "slx"  # Esc erases nothing
     press(qtbot, window, Qt.Key.Key_W)  # the next one has no name
-    qtbot.waitUntil(
-        lambda: sorted(path.name[15:] for path in tmp_path.iterdir()) in (["", "-slx"], ["-2", "-slx"])
-    )
+    qtbot.waitUntil(lambda: sorted(path.name[15:] for path in tmp_path.iterdir()) in (["", "-slx"], ["-2", "-slx"]))
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -10,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
 from PyQt6.QtWidgets import QApplication, QComboBox, QWidget
 from pytestqt.qtbot import QtBot
 from support.recordings import record
 from support.records import frame_file
-from support.window_tools import picture, press
+from support.window_tools import click, part, picture, press
 
 from app.acquisition.worker import Acquisition
 from app.gui.shell.instrument_factory import InstrumentFactory
@@ -24,6 +25,7 @@ from app.gui.widgets import theme
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
+from app.results.history import RMS
 from app.results.player import Player
 
 FRAMES = 8
@@ -246,6 +248,74 @@ def test_bar_is_hidden_at_live_devices(live: tuple[MainWindow, object], qtbot: Q
     press(qtbot, window, Qt.Key.Key_Period)
     assert window.controls.light.isEnabled()
     assert window.recording_panel.record.isEnabled()
+
+
+@pytest.fixture
+def faulty(window: MainWindow, own_recording: Recording) -> Player:
+    """A recording of faults that the window plays: one frame dark, one saturated, one without a wavefront."""
+    path = own_recording.folder / "frames.jsonl"
+    lines = [json.loads(line) for line in path.read_text().splitlines()]
+    began_s = lines[0]["host_time_s"]
+    for index, line in enumerate(lines):
+        line |= {"host_time_s": began_s + (0.5 * index if index < 5 else 10.0 + index), "rms_rad": 1.0 + index}
+    lines[1] |= {"is_light_on": False, "problem": "no lenslet", "rms_rad": None, "valid": None}
+    lines[2] |= {"problem": "the frame is saturated", "rms_rad": None, "valid": None}
+    lines[4] |= {"problem": "the frame is blurred", "rms_rad": None, "valid": None}
+    path.write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    player = Player(own_recording.folder)
+    window.open(InstrumentFactory(player.acquisition, player.begin, player))
+    return player
+
+
+def test_timeline_shows_faults_and_a_click_goes_to_a_time(window: MainWindow, qtbot: QtBot, faulty: Player) -> None:
+    bar, slider = window.replay, window.replay.slider
+    qtbot.waitUntil(lambda: bar.faults.text() == "Bad frames: 3")
+    qtbot.waitUntil(lambda: bar.play.text() == "Pause")
+    bar.play.click()
+    qtbot.waitUntil(lambda: bar.play.text() == "Play")
+    menu = bar.faults.menu()
+    assert menu is not None
+    menu.aboutToShow.emit()
+    texts = [action.text() for action in menu.actions()]
+    assert texts == [
+        "frame 1, 0.50 s, dark: the light was off",
+        "frame 2, 1.00 s, saturated: the frame is saturated",
+        "frame 4, 2.00 s, bad: the frame is blurred",
+    ]
+    menu.actions()[1].trigger()
+    qtbot.waitUntil(partial(is_at, window, faulty, 2))
+    click(qtbot, slider, QPoint(slider.width() * 15 // 17, 5))  # 15 of 17 s: the times have a gap
+    qtbot.waitUntil(partial(is_at, window, faulty, 5))
+    qtbot.waitUntil(lambda: bar.time.text() == "15.00 s")
+    click(qtbot, slider, QPoint(slider.width() * 4 // 34, 5))
+    qtbot.waitUntil(partial(is_at, window, faulty, 4))
+    marks = part(picture(slider), QRect(0, slider.height() - 4, slider.width(), 3)).astype(int)
+    for at_s, colour in ((0.5, theme.DIM), (1.0, theme.AMBER), (2.0, theme.RED)):
+        x = round(3 + (slider.width() - 6) * at_s / 17)
+        seen = marks[1, x - 2 : x + 3]  # the line of the position covers one
+        assert np.abs(seen - [colour.red(), colour.green(), colour.blue()]).max(axis=1).min() < 3
+    curve = part(picture(slider), QRect(slider.width() // 2, 0, slider.width() // 2, slider.height() - 8)).astype(int)
+    blue = np.abs(curve - [theme.ACCENT.red(), theme.ACCENT.green(), theme.ACCENT.blue()]).max(axis=2) < 60
+    assert blue.any()
+
+
+def test_replayed_frame_has_its_own_light_name_and_time(window: MainWindow, qtbot: QtBot, faulty: Player) -> None:
+    bar, panels = window.replay, window.panels
+    qtbot.waitUntil(lambda: bar.play.text() == "Pause")
+    bar.play.click()
+    qtbot.waitUntil(lambda: bar.play.text() == "Play")
+    for position, light in ((1, "Light\nwas off"), (5, "Light\nwas on")):
+        bar.slider.setValue(position)
+        qtbot.waitUntil(partial(is_at, window, faulty, position))
+        qtbot.waitUntil(lambda light=light: window.controls.light.text() == light)  # type: ignore[misc] # mypy and defaults
+    qtbot.waitUntil(lambda: window.shown.wavefront is not None)
+    panels.wavefronts.menu.store.trigger()
+    assert panels.wavefronts.menu.options.stored is not None
+    assert panels.wavefronts.menu.options.stored.name == "that of frame 5"
+    qtbot.waitUntil(lambda: panels.history._newest is not None and panels.history._newest[0] == pytest.approx(15.0))
+    bar.slider.setValue(7)
+    qtbot.waitUntil(lambda: panels.history._newest is not None and panels.history._newest[0] == pytest.approx(17.0))
+    assert panels.history.history.series(RMS)[0][-2:] == pytest.approx([-2.0, 0.0])
 
 
 def is_at(window: MainWindow, player: Player, position: int) -> bool:
