@@ -5,7 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from reconstruction.displacement import SYSTEMATIC_PX, Displacement, LensletStat
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, DarkSubtractor, KnownCamera, find_bad_pixels
 from reconstruction.geometry import Field, Lattice, Sensor
-from reconstruction.layers.layer_search import search_layers
+from reconstruction.layers.layer_search import search_layers, systematic_misfit
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
@@ -25,7 +25,7 @@ from reconstruction.registration.subimages import LensletModel, ReferenceSubimag
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import PupilBasis, ReconstructionSettings, RegistrationSettings, Warp, obstacle_to_layers
 from reconstruction.solve.expected_errors import MeanGradients, Response, Sensitivity, relative_weights
-from reconstruction.solve.modal import ModalSolver
+from reconstruction.solve.modal import ModalSolution, ModalSolver
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Solution, Wavefront
 
@@ -60,6 +60,8 @@ NO_OWN = OwnMethods()
 _DARK_CONTRAST = 0.2  # of the reference's; a frame with less in which nothing matches has no light
 _READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so shows nothing else; an average may
 _SPARSE = 4  # every fourth row and column is sampled
+_CERTAIN = 5.0  # standard errors, which chance does not reach in a million frames
+_MORE = 1.5  # contradiction of a sample by other frames over that by the one in which it was found
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
 NOISE_MODES = 45  # pupil modes for which noise is predicted; a smooth wavefront needs about as many
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
@@ -235,7 +237,9 @@ class Reconstructor:
                 raise ReconstructionError(f'{error} (reconstruction.sample = "layers")', image="frame") from error
             return FREE
         may_be_free = self.reconstruction.sample == "automatic"
-        return most_probable(search, may_be_free=may_be_free, is_blind=self.hidden > 0)
+        found = most_probable(search, may_be_free=may_be_free, is_blind=self.hidden > 0)
+        # The search is right about its frame: others of the sample contradict it hardly more.
+        return replace(found, allowed=max(1.0, _MORE * self.contradiction(self.solve(displacement, sample=found))))
 
     @property
     def may_be_layered(self) -> bool:
@@ -271,6 +275,29 @@ class Reconstructor:
             if self.may_be_layered:  # results of all frames have the same modes
                 solution = self._layered.in_these_modes(solution)
         return Wavefront.of(self.sensor, self.field, displacement, solution, sample)
+
+    def contradicts(self, wavefront: Wavefront) -> bool:
+        """True if the displacements of a wavefront contradict its layers: they may be of another sample."""
+        return self.contradiction(wavefront) > wavefront.sample.allowed
+
+    def contradiction(self, wavefront: Wavefront) -> float:
+        """How far the displacements of a wavefront contradict its layers: 1 is what errors allow.
+
+        It is the larger of two. A shift of the layers explains the rest of the displacements better, in `_CERTAIN`
+        standard errors. Any wavefront explains more of the displacements, in misfits that a search accepts.
+        """
+        solution, is_blind = wavefront.solution, self.hidden > 0
+        if not isinstance(solution, ModalSolution) or solution.shift_sigmas is None:
+            return 0.0
+        shift, by_chance = solution.shift_sigmas() / _CERTAIN, 1 + _CERTAIN * math.sqrt(2 / solution.freedom)
+        if solution.noise <= by_chance + systematic_misfit(is_blind=is_blind) ** 2 * solution.energy:
+            return shift  # and any wavefront, which costs another solve, cannot explain much more
+        free = cast("ModalSolution", self._solve(wavefront.displacement, FREE).solution).noise
+        beyond, not_noise = (
+            math.sqrt(max(noise - by_chance * least, 0.0) / solution.energy)
+            for noise, least in ((solution.noise, free), (free, 1.0))
+        )
+        return max(shift, beyond / systematic_misfit(not_noise, is_blind=is_blind))
 
     def registration_for(self, reference: Image) -> RegistrationMethod:
         """Prepare the same registration for another reference (row, column), counts above the dark."""

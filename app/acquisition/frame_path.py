@@ -53,12 +53,15 @@ class FramePath:
         """Reconstruct a frame from a `file` or elsewhere, as if exposed when it was read, and pass it on."""
         self._gap, self._lost = None, 0
         self.counts = replace(self.counts, acquired=self.counts.acquired + 1)
-        self.process(replace(frame, camera_time_s=frame.host_time_s - self._lag_s), instrument, light, file)
+        exposed = replace(frame, camera_time_s=frame.host_time_s - self._lag_s)
+        self.process(exposed, instrument, light, file, is_live=False)
 
-    def process(self, frame: Frame, instrument: Instrument, light: LightState | None, file: str = "") -> None:
+    def process(
+        self, frame: Frame, instrument: Instrument, light: LightState | None, file: str = "", *, is_live: bool = True
+    ) -> None:
         """Reconstruct a frame and pass it on."""
         begin_s = time.perf_counter()
-        made = instrument.measure(frame)
+        made = instrument.measure(frame) if is_live else instrument.measure_single(frame, is_foreign=bool(file))
         self.measured_in_s = time.perf_counter() - begin_s
         if made.wavefront is not None:
             self.counts = replace(self.counts, reconstructed=self.counts.reconstructed + 1)

@@ -363,6 +363,13 @@ class Instrument:
         self._before = made.registered or self._before
         return made
 
+    def measure_single(self, frame: Frame, *, is_foreign: bool) -> Measurement:
+        """Reconstruct a frame that is not live; see `LiveEstimator.solve_single`."""
+        if self._estimator is None or self._solver is None:
+            return Measurement(frame, None, self._problem)
+        solve = partial(self._solver.solve_single, is_foreign=is_foreign)
+        return self._estimator.measure(frame, solve, self._timings)
+
     def skip(self, frame: Frame) -> Measurement:
         """Skip a frame, keeping calibration and assumptions for a later reconstruction."""
         self._previous = frame

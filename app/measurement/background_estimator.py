@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from app.measurement.estimator import Estimator
+from app.measurement.estimator import ROUNDS, Estimator
 from app.measurement.measurement import Assumptions, RefinementStage, RefinementState
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
@@ -93,7 +93,8 @@ class BackgroundEstimator:
     def _find(self, newest: Solved, before: Found) -> Found:
         sample, correction = before.sample, newest.assumed.refinement
         self._has_changed |= not newest.is_still
-        if time.monotonic() >= (self._due_s if self._has_changed else self._still_due_s):
+        due_s = self._due_s if self._has_changed else self._still_due_s
+        if newest.assumed.is_other or time.monotonic() >= due_s:
             sample = self._search(newest.measured, before.sample)
         elif correction.stage == "worse":  # until the wavefront changes
             return self._resting(before)
@@ -122,8 +123,10 @@ class BackgroundEstimator:
             rest_s = (_LONG_REST if is_same else _REST) * (end_s - begin_s)
             self._rest_s = min(max(rest_s, 2 * self._rest_s), _LONGEST_STILL_S) if is_same else rest_s
             self._due_s, self._still_due_s = end_s + min(rest_s, _LONGEST_REST_S), end_s + self._rest_s
+        if before is None or not _are_alike(found, before, _KEPT_SIGMAS):
+            return found
         # Each other place would be prepared anew, and noise moves it.
-        return before if before is not None and _are_alike(found, before, _KEPT_SIGMAS) else found
+        return before if found.allowed == before.allowed else replace(before, allowed=found.allowed)
 
     def _resting(self, found: Found) -> Found:
         """Add for how long there is nothing to find."""
@@ -200,7 +203,7 @@ class LiveEstimator:
 
     def __init__(self, estimator: Estimator) -> None:
         """Start background estimator and thread if there is anything to find."""
-        self._reconstructor = estimator.reconstructor
+        self._estimator, self._reconstructor = estimator, estimator.reconstructor
         searches = self._reconstructor.may_be_layered
         self._refines = estimator.calibration.bench.reconstruction.refine
         self._newest: Solved | None = None  # one slot each way, written by one thread
@@ -227,7 +230,10 @@ class LiveEstimator:
             self._background_estimator.stop()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
-        """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies."""
+        """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies.
+
+        A frame that contradicts the sample, with the bias and without, is solved for any wavefront.
+        """
         found = self._found  # read once: the thread may replace it
         sample = found.sample or FREE
         if found.bias is None:
@@ -240,23 +246,36 @@ class LiveEstimator:
             stage: RefinementStage = "applied" if found.is_helpful else "worse"
             if moved_rad > max(_MOVED_RAD, _MOVED_FRACTION * mean_rms(bias.views)):
                 stage = "moved"
+            if stage == "applied" and self._reconstructor.contradicts(wavefront):
+                stage = "moved"
             if stage != "applied":
                 wavefront = self._reconstructor.solve(displacement, sample=sample)
             applied = bias.displacement if stage == "applied" else None
             state = RefinementState(stage, time_s - found.time_s, moved_rad, bias=applied)
-        assumed = Assumptions(found.sample, state)
+        is_other = state.bias is None and self._reconstructor.contradicts(wavefront)
+        if is_other:
+            wavefront = self._reconstructor.solve(displacement)
+        assumed = Assumptions(None if is_other else found.sample, state, is_other)
         self._wavefronts = wavefront, wavefront if self._wavefronts is None else self._wavefronts[0]
         self._newest = Solved(displacement, time_s, assumed)
         self._something_new.set()
         return wavefront, assumed
+
+    def solve_single(self, displacement: Displacement, *, is_foreign: bool) -> tuple[Wavefront, Assumptions]:
+        """Reconstruct a frame that is not live, with its own search if it `is_foreign` or contradicts the sample."""
+        reconstructor, sample = self._reconstructor, None if is_foreign else self._found.sample
+        if sample and reconstructor.contradicts(reconstructor.solve(displacement, sample=sample)):
+            sample = None
+        return self._estimator.solve(displacement, sample=sample, rounds=ROUNDS if self._refines else 0)
 
     def as_before(self, time_s: float) -> Assumptions:
         """Return the assumptions of the previous frame, for a skipped frame exposed at `time_s`."""
         before = self._newest
         if before is None:
             return Assumptions(self._found.sample, self._uncorrected())
-        sample, refinement = before.assumed
-        return Assumptions(sample, replace(refinement, age_s=refinement.age_s + time_s - before.time_s))
+        refinement = before.assumed.refinement
+        aged = replace(refinement, age_s=refinement.age_s + time_s - before.time_s)
+        return before.assumed._replace(refinement=aged)
 
     def _uncorrected(self) -> RefinementState:
         """State of a frame before the first bias."""
@@ -301,7 +320,7 @@ class LiveEstimator:
     def _use(self, found: Found, newest: Solved) -> None:
         """Use what was found for the frames that follow, after what depends on the layers is prepared."""
         sample, before = found.sample, self._found.sample
-        if sample is not None and before is not None and _are_alike(sample, before, 0.0):
+        if sample and before and _are_alike(sample, before, 0.0) and sample.allowed == before.allowed:
             found = found._replace(sample=before)  # a copy would count as another sample
         elif sample is not None:
             with suppress(ReconstructionError):  # of this frame
@@ -309,10 +328,11 @@ class LiveEstimator:
         self._found = found
 
     def _rest(self, at_least_s: float, at_most_s: float) -> None:
-        """Wait until something changes, and no longer if frames lack a correction that could be found."""
+        """Wait until something changes, and no longer if frames lack a sample or correction that could be found."""
         begin_s = time.monotonic()
         while (rested_s := time.monotonic() - begin_s) < at_most_s and not self._closing.is_set():
-            if self._newest is not None and self._newest.assumed.refinement.stage in {"preparing", "moved"}:
+            assumed = None if self._newest is None else self._newest.assumed
+            if assumed and (assumed.is_other or assumed.refinement.stage in {"preparing", "moved"}):
                 return
             if rested_s >= at_least_s and not self._is_still():
                 return

@@ -35,6 +35,7 @@ class Assumptions(NamedTuple):
 
     sample: AssumedSample | None = FREE  # None: not found yet, so that any wavefront was allowed
     refinement: RefinementState = RefinementState()
+    is_other: bool = False  # whether the frame contradicts the layers found last, which are searched again
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,8 @@
 The result of a frame does not depend on which other frames are reconstructed. With the recorded registration it starts
 from the displacement that was recorded for the frame before, with another one from its result in a block of
 `BLOCK_FRAMES`, whose first frame starts from zero. With the recorded settings the sample is the one assumed live, with
-others that of the first frame of a block.
+others that of the first frame of a block. A frame that contradicts it is searched on its own, for those after it, too;
+so is one that was skipped live, where nothing was tested.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ import numpy as np
 from app.errors import InputError
 from app.measurement.calibration import Calibration
 from app.measurement.estimator import Estimator, mask_sentence
-from app.measurement.measurement import Assumptions, LightState, Measurement, RefinementState
+from app.measurement.measurement import SKIPPED, Assumptions, LightState, Measurement, RefinementState
 from app.recording.frame_array import DamagedFrame
 from app.recording.frame_lines import FrameLine, assumed_sample
 from app.recording.reader import Recording
@@ -94,7 +95,7 @@ class Reprocessing:
                     previous=previous[1] if previous is not None and follows else None,
                 )
                 before, previous = made.registered or before, (index, frame)
-                sample = sample or (None if made.wavefront is None else made.wavefront.sample)
+                sample = sample if made.wavefront is None else made.wavefront.sample
                 yield _recorded(line, made)
 
     def mask_sentence(self, made: Measurement) -> str:
@@ -128,6 +129,10 @@ class Reprocessing:
         recording, estimator = self._recording, in_force.estimator
         if in_force.solves_as_recorded:
             sample = assumed_sample(line.sample)
+        if sample is not None and (line.problem == SKIPPED or not in_force.solves_as_recorded):
+            made = estimator.reconstructor.solve(registered, sample=sample)
+            if estimator.reconstructor.contradicts(made):  # nor does a recorded bias belong to it
+                return estimator.solve(registered, rounds=self._rounds)
         if self._rounds or line.bias is None or not in_force.registers_as_recorded:
             return estimator.solve(registered, sample=sample, rounds=self._rounds)
         bias = recording.bias(line.bias)

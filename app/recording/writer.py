@@ -75,7 +75,7 @@ class Record:
     def line(self, index: int, *, calibration: int | None, bias: int | None) -> FrameLine:
         """Line of the frame at an `index`, with the numbers of what it refers to."""
         made, frame, light = self.made, self.made.frame, self.made.light
-        sample, refinement = made.assumed
+        sample, refinement, _ = made.assumed
         gap = made.gap if index else None  # one before the first frame is none of this recording
         return FrameLine(
             index=index,

@@ -106,8 +106,12 @@ def is_within(fit: LayerFit) -> bool:
 def explains(fit: FitQuality, any_wavefront: FitQuality, *, is_blind: bool = False) -> bool:
     """True if a fit explains displacements as well as registration errors allow."""
     not_noise = math.sqrt(max(1 - 1 / max(any_wavefront.chi_square, 1.0), 0.0)) * any_wavefront.misfit
-    systematic = max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
-    return fit.misfit < _MOSTLY_NOISE and _beyond(fit, any_wavefront) < systematic
+    return fit.misfit < _MOSTLY_NOISE and _beyond(fit, any_wavefront) < systematic_misfit(not_noise, is_blind=is_blind)
+
+
+def systematic_misfit(not_noise: float = 0.0, *, is_blind: bool) -> float:
+    """Misfit of layers beyond that of any wavefront, which itself leaves `not_noise`, by registration errors."""
+    return max(_SYSTEMATIC_IF_BLIND if is_blind else _SYSTEMATIC, _SYSTEMATIC_SHARE * not_noise)
 
 
 def search_layers(

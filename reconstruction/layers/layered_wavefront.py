@@ -4,19 +4,24 @@ What one lenslet sees inside its field, its neighbours see at their edges, shift
 wavefront even where the source is blind (docs/layers.md).
 """
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layer_search import LayerSearch, explains, is_within
 from reconstruction.layers.layer_solver import (
+    SKETCH_DEGREE,
     LayerFit,
     LayerModes,
     LayerSolver,
     along_principal,
+    layer_orders,
     principal,
     prior_scale,
     require_lenslets,
@@ -28,6 +33,7 @@ from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Sp
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
+_TINY = np.finfo(np.float64).tiny
 _NEGLIGIBLE_RAD = 1e-20  # denormal numbers take fifty times as long as others or 0
 
 
@@ -37,6 +43,7 @@ class AssumedSample:
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known
+    allowed: float = 1.0  # `Reconstructor.contradiction` by a frame of this sample, at most
 
     @property
     def sigma(self) -> Floats:
@@ -87,6 +94,15 @@ class _Equations(NamedTuple):
     spread: Spread  # of the wavefronts of the components
 
 
+class _Slopes(NamedTuple):
+    """Change of the displacements with the ratio of each layer, for lenslets with some shares."""
+
+    low: NDArray[np.intp]  # polynomials of low degree, (m,)
+    rows: NDArray[np.float32]  # (L * K, m)
+    along: Floats  # their products with the design, (m, n)
+    own: Floats  # and with each other, (m, m)
+
+
 class _Fit(NamedTuple):
     """Layers fitted to one frame."""
 
@@ -109,6 +125,7 @@ class LayeredWavefronts:
         self.solver, self._modes, self._parameters = solver, modes, parameters
         self._design = Remembered[_Design](6)  # of 10 MB; two layers need five for their error bars
         self._equations = Remembered[_Equations](12)
+        self._slopes = Remembered[_Slopes](4)
         self._known = Remembered[KnownModes](4)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
@@ -144,6 +161,8 @@ class LayeredWavefronts:
             _displacement=displacement,
             parameters=self._parameters,
             fitted=Deferred(fitted),
+            energy=frame.total / frame.number,
+            shift_sigmas=Deferred(lambda: self._shift_sigmas(sample, frame, fit)),
         )
 
     def in_these_modes(self, free: ModalSolution) -> ModalSolution:
@@ -188,17 +207,48 @@ class LayeredWavefronts:
         components[self._modes.columns] = design.wavefronts @ vectors.astype(np.float32)
         return _Equations(singular, vectors, Spread(components, known))
 
+    def _shift_sigmas(self, sample: AssumedSample, frame: Whitened, fit: _Fit) -> float:
+        """Shift of the layers that would explain the rest of the displacements best, in standard errors.
+
+        The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
+        """
+        low, rows, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
+        (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
+        phase = np.repeat(alone, len(low) // len(alone), axis=1) * fit.polynomials[low]  # of each layer, (layer, m)
+        score = phase @ (frame.weighted.ravel().astype(np.float32) @ rows - along @ fit.polynomials)
+        explained = (phase @ along @ vectors) / np.sqrt(singular**2 + 1 / estimate.ratio)  # by the phase itself
+        normal = phase @ own @ phase.T - explained @ explained.T
+        variance = self.solver.errors.larger(estimate.noise, ALIKE_IN_LAYERS) * normal + _TINY * alone
+        if sample.covariance is not None:
+            variance += normal @ sample.covariance @ normal
+        return math.sqrt(max(float(score @ np.linalg.solve(variance, score)), 0.0))
+
+    def _per_ratio(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Slopes:
+        """Slopes for lenslets with some shares (L,) of their certainty."""
+        design, share = self._design(self._prepared, ratios).rows, np.frombuffer(share_bytes)
+        low = np.flatnonzero(np.tile(layer_orders(self.solver.degree).sum(axis=1) <= SKETCH_DEGREE, len(ratios)))
+        rows = np.zeros((len(design), len(low)))
+        for near, far, width in _beside(ratios):
+            before, after = (self._design(self._prepared, each).rows[:, low] for each in (near, far))
+            rows += (after - before) / width  # of one layer, 0 for the other
+        weighted = np.repeat(share, len(design) // len(share)) * rows.T
+        return _Slopes(low, rows.astype(np.float32), weighted @ design, weighted @ rows)
+
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
         if sample.covariance is None:
             return np.zeros((np.count_nonzero(self._modes.columns), len(sample.ratios)))
-        slopes = []
-        for place, ratio in enumerate(sample.ratios):
-            step = _STEP * (1 + abs(ratio))
-            near, far = (
-                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), frame)
-                for side in (-1, 1)
-            )
-            slopes.append((far.wavefront - near.wavefront) / (2 * step))
+        slopes = [
+            (self._fit(far, frame).wavefront - self._fit(near, frame).wavefront) / width
+            for near, far, width in _beside(sample.ratios)
+        ]
         values, vectors = np.linalg.eigh(sample.covariance)
         return np.asarray(np.transpose(slopes) @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+
+
+def _beside(ratios: tuple[float, ...]) -> Iterator[tuple[tuple[float, ...], tuple[float, ...], float]]:
+    """Yield, for each ratio, all with this one a step smaller and larger, and their difference."""
+    for place, ratio in enumerate(ratios):
+        step = _STEP * (1 + abs(ratio))
+        near, far = ((*ratios[:place], ratio + side * step, *ratios[place + 1 :]) for side in (-1, 1))
+        yield near, far, 2 * step

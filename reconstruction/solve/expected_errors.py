@@ -135,16 +135,19 @@ class ExpectedErrors:
         return Whitened(share, weighted, float(np.vdot(data, weighted)), np.count_nonzero(share) * data.shape[1])
 
     def variance(self, estimate: Estimate, singular: Floats, alike: float) -> Floats:
-        """Variance of the components of an estimate with those singular values (n,).
+        """Variance of the components of an estimate with those singular values (n,); see `larger`."""
+        noise, larger = estimate.noise, self.larger(estimate.noise, alike)
+        return np.asarray(larger / (singular**2 + larger / (noise * estimate.ratio)))
+
+    def larger(self, noise: float, alike: float) -> float:
+        """Variance of errors that are partly systematic, over the expected one.
 
         Systematic errors are alike in neighbouring lenslets, so that they average less than noise: those of `alike`
         lenslets count as one. The expected ones are an upper limit, which counts where noise is smaller; if it is
         unknown, all errors count as systematic.
         """
-        noise = estimate.noise
         systematic = (1 - self.share_of_noise) ** 2 * min(noise, 1.0) + max(noise - _BY_CHANCE, 0.0)
-        larger = noise + ((alike if self.share_of_noise else _ALIKE_IF_UNKNOWN) - 1) * systematic
-        return np.asarray(larger / (singular**2 + larger / (noise * estimate.ratio)))
+        return noise + ((alike if self.share_of_noise else _ALIKE_IF_UNKNOWN) - 1) * systematic
 
     @property
     def response(self) -> Floats:

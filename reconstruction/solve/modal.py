@@ -95,6 +95,8 @@ class ModalSolution:
     _displacement: Displacement
     parameters: Floats  # of the lenslets' warps, (K, 2Q)
     fitted: Deferred[Floats]  # parameters of the fit, px, (lenslet, K)
+    energy: float = 0.0  # mean square of the displacements in expected errors
+    shift_sigmas: Deferred[float] | None = None  # of assumed layers, see `LayeredWavefronts`
 
     def extended(self, known: KnownModes) -> Self:
         """The same wavefront in more pupil modes, whose coefficients are 0; known at the same lenslets."""

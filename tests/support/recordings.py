@@ -57,7 +57,7 @@ def record(
             else:
                 made = instrument.measure(frame)
                 assert not made.problem
-            sample, refinement = made.assumed
+            sample, refinement, _ = made.assumed
             if sample is not None and (not bench.reconstruction.refine or refinement.stage == "applied"):
                 writer.write(Record.of(made))
         writer.finish("", acquired=frames, facts={})

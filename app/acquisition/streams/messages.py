@@ -93,7 +93,7 @@ def topic_message(topic: str, sequence: int, measurement: Measurement, bench: Be
 
 
 def _frame_facts(measurement: Measurement, bench: Bench) -> dict[str, Any]:
-    frame, (sample, refinement) = measurement.frame, measurement.assumed
+    frame, (sample, refinement, _) = measurement.frame, measurement.assumed
     unix_s = time.time() - time.perf_counter()  # calendar time at which perf_counter is zero
     per_ratio_m, layers = bench.field.collimator_focal_length_m, None
     if sample is not None:  # else layers have not been searched for

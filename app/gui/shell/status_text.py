@@ -22,6 +22,10 @@ from reconstruction.wavefront import Wavefront
 _SLOW_S = 1.0  # a frame shown for longer is explained
 _STOPPED = "the camera is stopped: Space starts it"
 _SATURATED = "saturated"  # in a problem of a frame
+_OTHER = DataFreshness(
+    "ANOTHER SAMPLE? SEARCHING",
+    "the frame contradicts the layers found last: any wavefront is allowed until a search has confirmed layers",
+)
 
 
 class AlarmTracker:
@@ -61,8 +65,9 @@ def data_freshness(
     age = f"{age_s:.0f} s" if age_s < 100 else f"{age_s / 60:.0f} min"
     if measurement.file:
         return DataFreshness(f"FILE {measurement.file}", "Space returns to the camera")
+    is_other = measurement.assumed.is_other
     if status.is_replay:
-        return DataFreshness("REPLAY", status.camera_name)
+        return _OTHER if is_other else DataFreshness("REPLAY", status.camera_name)
     if failure:
         return DataFreshness(f"DISCONNECTED, {age} old", failure, is_grey=True)
     is_stopped = not status.is_running and not activity.text  # to study the frame: it keeps its colours
@@ -70,7 +75,8 @@ def data_freshness(
         why = _STOPPED if is_stopped else activity.text or "no newer frame has come yet"
         return DataFreshness(f"PAUSED, {age} old", why, is_grey=not is_stopped)
     reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
-    return DataFreshness("STALE" if reason else "", reason, is_grey=bool(reason))
+    stale = DataFreshness("STALE" if reason else "", reason, is_grey=bool(reason))
+    return _OTHER if is_other and not reason else stale
 
 
 def warning(status: Status, problem: str = "", wavefront: Wavefront | None = None, quality: Quality = NO_FAULT) -> str:

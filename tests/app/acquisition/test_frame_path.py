@@ -18,6 +18,10 @@ from drivers.interface import DeviceTimeout, Frame
 _frame = partial(Frame, pixels=np.zeros((2, 2), np.uint16), em_gain=1.0)
 
 
+def measured_alone(frame: Frame, *, is_foreign: bool) -> Measurement:
+    return Measurement(frame, None, "foreign" if is_foreign else "")
+
+
 @pytest.mark.parametrize("drift", [-50e-6, 0.0, 50e-6, 200e-6])
 def test_exposure_end_follows_a_drifting_clock(drift: float) -> None:
     """Two hours at 1 Hz; transfers take 10 ... 30 ms."""
@@ -86,18 +90,20 @@ def test_newest_frame_is_taken_if_the_next_is_old(
 def test_single_frame_before_the_first_of_the_camera_has_a_latency(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("app.acquisition.frame_path.time", SimpleNamespace(perf_counter=lambda: 200.0))
     made, timings = list[Measurement](), Timings()
-    instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""))
+    instrument: Any = SimpleNamespace(measure_single=measured_alone)
     path = FramePath((made.append,), timings, lambda _: False)
     path.process_single(
         _frame(index=0, camera_time_s=7.0, host_time_s=199.5, exposure_s=0.1), instrument, None, "dark.tif"
     )
     assert made[0].counts == FrameTotals(acquired=1, reconstructed=0)
+    path.process_single(made[0].frame, instrument, None, "")  # of the recording that is played
+    assert [each.problem for each in made] == ["foreign", ""]
     assert made[0].latency_s == timings.summary()["to_result"].max_s == pytest.approx(0.5)
 
 
 def test_what_happened_before_a_frame_of_the_camera_did_not_happen_before_that_of_a_file() -> None:
     made = list[Measurement]()
-    instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""))
+    instrument: Any = SimpleNamespace(measure=lambda frame: Measurement(frame, None, ""), measure_single=measured_alone)
     path = FramePath((made.append,), Timings(), lambda _: False)
     frame = _frame(index=5, camera_time_s=0.0, host_time_s=100.0, exposure_s=0.1)
     for each in (frame, replace(frame, index=2)):  # after five and two lost ones, and a restart

@@ -22,6 +22,7 @@ from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness
 from app.gui.widgets.enlarged_view import EnlargedView, SurfaceView
+from app.measurement.measurement import Assumptions
 from app.recording.playback_devices import RecordedLight
 from drivers.interface import Disconnected
 
@@ -66,6 +67,10 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     renamed = replace(status, light_name=RecordedLight.name)  # a name makes no replay
     assert data_freshness(renamed, "", Activity(), now) == DataFreshness()
     assert data_freshness(replace(status, is_replay=True), "", Activity(), now).badge == "REPLAY"
+    other = replace(now, assumed=Assumptions(None, is_other=True))
+    for each in (status, replace(status, is_replay=True)):
+        shown = data_freshness(each, "", Activity(), other)
+        assert (shown.badge, shown.is_grey) == ("ANOTHER SAMPLE? SEARCHING", False)
     assert data_freshness(None, "", Activity(), None) == DataFreshness()
     assert data_freshness(
         None, "", Activity("opening the devices"), None

@@ -65,24 +65,24 @@ def test_bias_applies_only_near_its_wavefront(paper_bench: SmallBench, reconstru
     try:
         frame = bowl(paper_bench, 1.0)
         displacement = reconstructor.register(frame)
-        once, (_, state) = solver.solve(displacement, 0.0)
+        once, (_, state, _) = solver.solve(displacement, 0.0)
         assert state.stage == "preparing"
         assert solver.as_before(1.0).refinement.bias is None
         np.testing.assert_array_equal(once.views, reconstructor.solve(displacement).views)
         until(solver, reconstructor, frame, "applied")
         time.sleep(1.0)  # some more rounds
-        corrected, (_, state) = solver.solve(displacement, time.monotonic())
+        corrected, (_, state, _) = solver.solve(displacement, time.monotonic())
         assert state.age_s > 0
         assert state.moved_rad < 0.2
         now_s = time.monotonic()
-        corrected, (_, state) = solver.solve(displacement, now_s)
+        corrected, (_, state, _) = solver.solve(displacement, now_s)
         later = solver.as_before(now_s + 0.25).refinement  # for a skipped frame
         assert later.bias is state.bias is not None
         assert later.age_s == pytest.approx(state.age_s + 0.25)
         assert rms(corrected.views - once.views).mean() > 0.005
 
         gone = reconstructor.register(bowl(paper_bench, -1.0))
-        found, (_, state) = solver.solve(gone, time.monotonic())
+        found, (_, state, _) = solver.solve(gone, time.monotonic())
         assert state.stage == "moved"
         assert solver.as_before(time.monotonic()).refinement.bias is None
         assert state.moved_rad == pytest.approx(2 * rms(once.views).mean(), rel=0.1)
@@ -146,7 +146,7 @@ def test_bias_that_worsens_the_misfit_is_rejected(
         displacement = reconstructor.register(frame)
         for _ in range(10):  # it stays rejected
             time.sleep(0.05)
-            wavefront, (_, state) = solver.solve(displacement, time.monotonic())
+            wavefront, (_, state, _) = solver.solve(displacement, time.monotonic())
             assert state.stage == "worse"
             assert state.bias is None
         np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
@@ -180,7 +180,7 @@ def test_correction_is_renewed_only_after_a_change(paper_bench: SmallBench, reco
     solver, random = solver_of(paper_bench, reconstructor), np.random.default_rng(0)
 
     def age_s(strength: float) -> float:
-        _, (_, state) = solver.solve(
+        _, (_, state, _) = solver.solve(
             reconstructor.register(noisy(bowl(paper_bench, strength), random)), time.monotonic()
         )
         assert state.stage == "applied"
@@ -221,6 +221,6 @@ def test_no_thread_without_layers_and_refinement(paper_bench: SmallBench, recons
     assert not solver.has_background_estimator
     displacement = reconstructor.register(bowl(paper_bench, 1.0))
     wavefront, assumed = solver.solve(displacement, 0.0)
-    assert assumed == (FREE, RefinementState())
+    assert assumed == Assumptions()
     np.testing.assert_array_equal(wavefront.views, reconstructor.solve(displacement).views)
     assert not any(thread.name == "live-estimator" for thread in set(threading.enumerate()) - before)

@@ -40,7 +40,7 @@ def until_ratio(solver: LiveEstimator, displacement: Displacement, ratio: float)
     begin_s = time.monotonic()
     while True:
         wavefront, assumed = solver.solve(displacement, time.monotonic())
-        sample, refinement = assumed
+        sample, refinement, _ = assumed
         is_found = sample is not None and sample.ratios == pytest.approx((ratio,), abs=0.03)
         if is_found and refinement.stage in {"off", "applied"}:
             return wavefront, assumed
@@ -66,7 +66,7 @@ def test_layers_found_in_the_background_serve_later_frames(
         assert (assumed.sample, first.sample) == (None, FREE)
         assert solver.as_before(1.0).sample is None
         np.testing.assert_array_equal(first.views, layered.solve(displacement).views)
-        wavefront, (sample, refinement) = until_ratio(solver, displacement, -0.8)
+        wavefront, (sample, refinement, _) = until_ratio(solver, displacement, -0.8)
         assert sample is wavefront.sample is solver.as_before(1.0).sample
         again = layered.solve(displacement, bias=refinement.bias, sample=wavefront.sample)
         np.testing.assert_array_equal(wavefront.views, again.views)
@@ -118,7 +118,7 @@ def test_process_finds_what_is_found_in_this_process(
     estimator = estimator_with(layered, bench_of(paper_bench), paper_bench.reference)
     solver, displacement = LiveEstimator(estimator), layered.register(behind_layer(paper_bench, -0.8))
     try:
-        _, (sample, refinement) = until_ratio(solver, displacement, -0.8)
+        _, (sample, refinement, _) = until_ratio(solver, displacement, -0.8)
         later = solver.solve(displacement, time.monotonic())[1].sample
     finally:
         solver.close()
@@ -163,7 +163,7 @@ def test_process_that_dies_is_reported_and_frames_go_on(
         until(solver, layered, paper_bench.reference, "applied")
     apart[0].process.kill()
     until(solver, layered, paper_bench.reference, "failed")
-    _, (sample, state) = solver.solve(layered.register(paper_bench.reference), 0.0)
+    _, (sample, state, _) = solver.solve(layered.register(paper_bench.reference), 0.0)
     assert sample is not None  # nobody waits for one
     assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
     solver.close()
