@@ -46,15 +46,16 @@ class CoefficientsPanel(Panel):
         self.table_toggle = Toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
         self.plot.setToolTip("Click a bar to record its history and to map it over the field; click it again to stop")
+        self.plot.table = self.table
         self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, pen=None)
         self.plot.view.addItem(self._bars)
         self._errors = pg.PlotCurveItem(connect="pairs")
         self.plot.view.addItem(self._errors)
         self.plot.graphics.scene().sigMouseClicked.connect(self._click)
-        self.table = _Table()
+        self.numbers = _Table()
         self._stack = QStackedWidget()
         self._stack.addWidget(self.plot)
-        self._stack.addWidget(self.table)
+        self._stack.addWidget(self.numbers)
         self.map = ViewGrid((80, 50), empty="click a bar\nto map it over the field", is_captioned=False)
         header = row((self.plot.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
@@ -117,8 +118,16 @@ class CoefficientsPanel(Panel):
         pinned = self._described(found, self._mapped) if self._mapped is not None and found else ""
         self.plot.title.setText(pinned or f"Coefficients ({self.shown.unit})")
         numbers = zip(names[1:], values[1:], sigma[1:], strict=True)
-        self.table.show_rows([(name, *with_error(value, one)) for name, value, one in numbers], self.shown.unit)
+        self.numbers.show_rows([(name, *with_error(value, one)) for name, value, one in numbers], self.shown.unit)
         self._show_map(found)
+
+    def table(self) -> str:
+        """Return name, value and standard deviation of each mode as tab-separated lines."""
+        if (found := self._found) is None:
+            return ""
+        numbers = zip(found.names, found.rad * self.shown.per_rad, found.sigma_rad * self.shown.per_rad, strict=True)
+        rows = [f"{name}\t{value:.7g}\t{sigma:.7g}" for name, value, sigma in numbers]
+        return "\n".join([f"mode\tvalue ({self.shown.unit})\tstandard deviation ({self.shown.unit})", *rows[1:]])
 
     def pin(self, mode: int | None) -> None:
         """Record and map a mode from now on, or none."""

@@ -143,6 +143,13 @@ class Panel(QWidget):
         for text in self.findChildren((ElidedLabel, QTableWidget)):
             mark_stale(text, is_stale=is_stale)
 
+    def table(self) -> str:
+        """Return the numbers of all visible maps and plots as tab-separated lines."""
+        maps = (grid.table() for grid in self.findChildren(ViewGrid) if grid.isVisible())
+        return "\n\n".join(
+            filter(None, (*maps, *(plot.table() for plot in self.findChildren(Plot) if plot.isVisible())))
+        )
+
     def show_nothing(self) -> None:
         """Clear what belongs to a wavefront: there is none."""
 

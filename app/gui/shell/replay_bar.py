@@ -60,9 +60,9 @@ class Timeline(QSlider):
         self._curves.clear()
         if overview is not None:
             first = np.arange(0, count, -(-count // _POINTS))
-            curves = (theme.GREEN, overview.valid, np.fmin), (theme.ACCENT, overview.rms_rad, np.fmax)
-            for colour, values, extreme in curves:
-                height = extreme.reduceat(values, first) / max(float(np.nanmax(values, initial=0)), 1e-9)
+            curves = (theme.GREEN, overview.valid, np.fmin, 1.0), (theme.ACCENT, overview.rms_rad, np.fmax, 0.8)
+            for colour, values, extreme, top in curves:
+                height = top * extreme.reduceat(values, first) / max(float(np.nanmax(values, initial=0)), 1e-9)
                 self._curves.append((colour, self._place[first], height))
         self.update()
 

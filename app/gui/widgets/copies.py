@@ -10,15 +10,21 @@ from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
 from PyQt6.QtWidgets import QFileDialog, QMenu, QMessageBox, QWidget
 
 from app.errors import RunError
-from app.files import write_whole
-from app.gui.widgets.file_work import answer
+from app.files import write_csv, write_whole
+from app.gui.widgets.file_work import FileWork, answer
 from reconstruction.arrays import Floats
 
 
 def add_copy_menu(
-    widget: QWidget, numbers: Callable[[QPoint], str], fill: Callable[[QMenu, QPoint], object] = lambda *_: None
+    widget: QWidget,
+    numbers: Callable[[QPoint], str],
+    fill: Callable[[QMenu, QPoint], object] = lambda *_: None,
+    table: Callable[[], str] | None = None,
 ) -> None:
-    """Open a menu at a right click: `numbers` returns a text for a position, `fill` adds entries."""
+    """Open a menu at a right click: `numbers` returns a text for a position, `fill` adds entries.
+
+    All numbers are a `table`, if they are others.
+    """
 
     def show(at: QPoint) -> None:
         menu = QMenu(widget)
@@ -27,6 +33,7 @@ def add_copy_menu(
         menu.addAction("Copy picture", partial(_copy_picture, widget))
         if text := numbers(at):
             menu.addAction("Copy numbers", partial(copy_text, text))
+            menu.addAction("Save numbers as CSV", partial(save_numbers, widget, text if table is None else table()))
         menu.popup(widget.mapToGlobal(at))
 
     widget.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
@@ -37,6 +44,15 @@ def as_table(heads: Iterable[str], rows: Iterable[Floats]) -> str:
     """Return rows (column,) as lines of tab-separated numbers below their heads, for a spreadsheet."""
     lines = ["\t".join(f"{value:.7g}" for value in row) for row in rows]
     return "\n".join(filter(None, ["\t".join(heads), *lines]))
+
+
+def save_numbers(parent: QWidget, table: str) -> None:
+    """Ask for a file and write lines of tab-separated numbers into it, as CSV."""
+    path = ask_file(parent, "Save the numbers", "numbers.csv", "Table (*.csv)")
+    if path is not None:
+        rows = [line.split("\t") for line in table.splitlines()]
+        work = FileWork(parent, lambda problem: _box(parent, problem).exec())
+        work.run(partial(write_csv, path, rows[0], rows[1:]), lambda _: work.deleteLater(), writes=str(path))
 
 
 def copy_text(text: str) -> None:

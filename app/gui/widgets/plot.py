@@ -1,6 +1,7 @@
 """Titled plots in the colours of the window: any curves, and curves over the distance of a layer or a corrector."""
 
 import math
+from collections.abc import Callable
 from typing import get_args
 
 import numpy as np
@@ -95,11 +96,14 @@ class Plot(QWidget):
             colour_text(key, colour)
             header.addWidget(key)
         column(header, (self.graphics, 1), spacing=2, parent=self)
-        add_copy_menu(self, lambda _: self._numbers())
+        self.table: Callable[[], str] = self._table
+        add_copy_menu(self, lambda _: self.table())
 
-    def _numbers(self) -> str:
+    def _table(self) -> str:
+        """Return all curves, one below the other, as lines of tab-separated numbers."""
+        heads = self.axes["bottom"].labelText if "bottom" in self.axes else "x", self.title.text()
         known = [(x, y) for x, y in (curve.getData() for curve in self.curves) if x is not None and len(x)]
-        return "\n\n".join(as_table(("x", "y"), np.c_[x, y]) for x, y in known)
+        return "\n\n".join(as_table(heads, np.c_[x, y]) for x, y in known)
 
     def add_curve(self, colour: QColor, width: int = 2, style: Qt.PenStyle = Qt.PenStyle.SolidLine) -> pg.PlotCurveItem:
         curve = pg.PlotCurveItem(antialias=True)

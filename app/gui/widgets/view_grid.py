@@ -126,7 +126,7 @@ class ViewGrid(QWidget):
         self.setMinimumSize(*least)
         self.setAutoFillBackground(True)  # else all that lies below is painted, too
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        add_copy_menu(self, self._numbers_at)
+        add_copy_menu(self, self._numbers_at, table=self.table)
 
     def show_maps(self, maps: Maps | None) -> None:
         self.maps = maps
@@ -233,6 +233,14 @@ class ViewGrid(QWidget):
         column = inside.x() * values.shape[1] // tile.width()
         text = self.maps.describe(row, column, float(values[row, column]))
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
+
+    def table(self) -> str:
+        """Return all maps as lines of tab-separated numbers, one for each pixel."""
+        if self.maps is None:
+            return ""
+        at = np.indices(self.maps.values.shape).reshape(4, -1)
+        heads = "view row", "view column", "row", "column", f"value ({self.maps.scale.title.split()[0]})"
+        return as_table(heads, np.vstack([at, self.maps.values.reshape(1, -1)]).T)
 
     def _numbers_at(self, position: QPoint) -> str:
         """Return the map at a position, or the selected one, as a table."""

@@ -191,7 +191,7 @@ def test_context_menus_copy_picture_and_numbers(window: MainWindow) -> None:
     plot = window.panels.quality.mtf
     plot._curves[0].setData([0.0, 1.0], [1.0, 0.5])
     menu_at(plot, QPoint(5, 5))["Copy numbers"].trigger()
-    assert clipboard.text().endswith("x\ty\n0\t1\n1\t0.5")
+    assert clipboard.text().endswith("cycles per mrad\tMTF\n0\t1\n1\t0.5")
 
 
 @pytest.mark.slow

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import csv
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtWidgets import QApplication, QFileDialog
+from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, make_measurement
 from support.wavefronts import modal
@@ -167,14 +168,47 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
     window.show_measurement(measurement(-0.5))
     qtbot.waitUntil(lambda: panel.plot.title.text().startswith("Coefficients (nm)"))
     click(qtbot, panel.table_toggle, panel.table_toggle.rect().center())
-    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    QtBot.keyClick(panel.numbers, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     clipboard = QApplication.clipboard()
     assert clipboard is not None
     lines = [line.split("\t") for line in clipboard.text().splitlines()]
     assert lines[0] == ["mode", "nm", "1\N{GREEK SMALL LETTER SIGMA}"]
     assert lines[3][0] == "L3 P2(x)"
     assert float(lines[3][1]) == pytest.approx(-0.5 * 462 / (2 * np.pi), abs=0.05)
-    assert len(lines) == panel.table.rowCount() + 1
-    panel.table.selectRow(2)
-    QtBot.keyClick(panel.table, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
+    assert len(lines) == panel.numbers.rowCount() + 1
+    panel.numbers.selectRow(2)
+    QtBot.keyClick(panel.numbers, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
     assert len(clipboard.text().splitlines()) == 2
+
+
+def save_csv(widget: QWidget, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choose the entry of the menu that a right click opens."""
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
+    widget.customContextMenuRequested.emit(QPoint(5, 5))
+    menu = next(each for each in widget.findChildren(QMenu) if each.isVisible())
+    next(action for action in menu.actions() if action.text() == "Save numbers as CSV").trigger()
+    menu.close()
+
+
+def test_maps_and_coefficients_are_saved_as_csv(
+    window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    grid, panel = window.panels.wavefronts.grid, window.panels.coefficients
+    assert grid.maps is not None
+    save_csv(grid, tmp_path / "maps", monkeypatch)
+    qtbot.waitUntil((tmp_path / "maps.csv").exists)
+    heads, *rows = csv.reader((tmp_path / "maps.csv").read_text().splitlines())
+    assert heads == ["view row", "view column", "row", "column", "value (rad)"]
+    values = np.full(grid.maps.values.shape, np.nan)
+    for row in rows:
+        values[tuple(map(int, row[:4]))] = float(row[4])
+    np.testing.assert_allclose(values, grid.maps.values, rtol=1e-6, atol=1e-9)
+    save_csv(panel.plot, tmp_path / "modes.csv", monkeypatch)
+    qtbot.waitUntil((tmp_path / "modes.csv").exists)
+    heads, *rows = csv.reader((tmp_path / "modes.csv").read_text().splitlines())
+    assert heads == ["mode", "value (rad)", "standard deviation (rad)"]
+    found = panel._found
+    assert found is not None
+    assert [row[0] for row in rows] == list(found.names[1:])
+    np.testing.assert_allclose([float(row[1]) for row in rows], found.rad[1:], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose([float(row[2]) for row in rows], found.sigma_rad[1:], rtol=1e-6)
