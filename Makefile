@@ -13,7 +13,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # Else every program that a test starts compiles Python anew, half a second.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: help setup run check test test-slow test-long mutants storms screenshots docs lint lock clean qt-libraries c-compiler
+.PHONY: help setup run check test test-slow test-long mutants storms screenshots windows docs lint lock clean qt-libraries c-compiler
 
 help:
 	@sed -n 's/^\([a-z-]*\):.*## /make \1\t/p' Makefile
@@ -68,6 +68,14 @@ mutants: setup c-compiler ## put known faults into a copy of the source: a test 
 
 storms: setup c-compiler ## 1,000 random sequences of commands and faults for every driver; ONLY=dcam for some
 	SVWFS_SEQUENCES=$${SVWFS_SEQUENCES:-1000} $(PYTEST) --timeout=0 -k 'storm$(if $(ONLY), and ($(ONLY)))' tests
+
+# About 4 GB, kept outside: what all checkouts of a computer share.
+WINDOWS_CACHE ?= $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/svwfs-windows
+
+windows: setup ## every command and every death on a Windows Python under Wine, half an hour; ONLY=light for some lines; TESTS=1: the tests
+	tests/windows/make_root.sh $(WINDOWS_CACHE)
+	.venv/bin/pip install -qq uv pefile
+	PYTHONPATH=tests .venv/bin/python -m windows.run $(WINDOWS_CACHE)
 
 screenshots: setup ## pictures of every panel and state into build/screenshots, some of them into docs; some minutes
 	PYTHONPATH=tests .venv/bin/python -m support.screenshots build/screenshots

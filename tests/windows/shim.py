@@ -3,6 +3,7 @@
 Wine's ucrtbase has no functions of complex numbers, which NumPy, SciPy, h5py and Numba import from
 `api-ms-win-crt-math-l1-1-0.dll`. Wine answers that name itself, so `MATH`, of equal length, replaces it in their files:
 it has these functions, and forwards the others. Qt 6.8 imports `icuuc.dll`, whose functions may fail politely.
+pyserial must take a time-out of Wine for one.
 """
 
 from __future__ import annotations
@@ -24,6 +25,12 @@ _CONVERTERS = (
     "UCNV_FROM_U_CALLBACK_SUBSTITUTE UCNV_TO_U_CALLBACK_SUBSTITUTE ucnv_cbFromUWriteUChars ucnv_cbToUWriteUChars"
     " ucnv_close ucnv_countAvailable ucnv_fromUCountPending ucnv_fromUnicode ucnv_getFromUCallBack ucnv_getMaxCharSize"
     " ucnv_getToUCallBack ucnv_reset ucnv_setFromUCallBack ucnv_setToUCallBack ucnv_toUCountPending ucnv_toUnicode"
+)
+
+# Where Windows reads nothing in time, Wine reports the error ERROR_TIMEOUT.
+_NO_INPUT = (
+    "if win32.GetLastError() != win32.ERROR_OPERATION_ABORTED:",
+    "if win32.GetLastError() not in (win32.ERROR_OPERATION_ABORTED, 1460):",
 )
 
 # Microsoft's compiler passes a complex number as this structure. Its `long double` is a `double`.
@@ -82,6 +89,8 @@ def mend(site_packages: Path, folder: Path, root: Path) -> int:
     icu = [*failing, "ucnv_open", "ucnv_getName", "ucnv_getAvailableName", "ucnv_getStandardName"]
     icu_source = _ICU_SOURCE + "".join(f"int {name}(void) {{ return 0; }}\n" for name in failing)
     _compile(root, folder, ICU, icu_source, {name: name for name in icu})
+    serial = site_packages / "serial" / "serialwin32.py"
+    serial.write_text(serial.read_text().replace(*_NO_INPUT))
     for path in users:
         changed = path.read_bytes().replace(f"{SYSTEMS}.dll".encode(), f"{MATH}.dll".encode())
         path.unlink()  # it may be a link into the cache of uv
