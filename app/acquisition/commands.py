@@ -48,5 +48,7 @@ class Commands:
     survey_lattice = _command(Instrument.survey_lattice)
     measure_linearity = _command(Instrument.measure_linearity)
     change_settings = _command(Instrument.change_settings)
+    undoable = _command(Instrument.undoable)
+    undo = _command(Instrument.undo)
     start_recording = _command(Instrument.start_recording)
     keep_recent = _command(Instrument.keep_recent)

@@ -99,12 +99,10 @@ class DarkReferenceStore:
     def _use(self, taken: _Taken | None, now: AcquisitionSettings) -> None:
         """Use it, and keep it in place of an older one of the same region and mask."""
         key = self._key(now)
-        self._kept.pop(key, None)
+        kept = {other: one for other, one in self._kept.items() if other != key}
         if taken is not None:
-            self._kept[key] = taken
-        self._used = taken
-        if len(self._kept) > _MOST:
-            del self._kept[next(iter(self._kept))]
+            kept[key] = taken
+        self._used, self._kept = taken, dict(list(kept.items())[-_MOST:])  # a copy of the store keeps the former
 
     def _key(self, settings_then: AcquisitionSettings) -> tuple[Region, int, str]:
         return settings_then.region, settings_then.binning, settings_then.mask if self._is_lit else ""

@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
 
 from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
 from app.acquisition.watchdog_light import WatchdogLight
@@ -46,6 +50,7 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.runtime.child_process import Child, Condition, condition_of
 
 WINDOW = "live"  # command of the recordings of a window, and of those that name none
+_PICTURE_PX = 240  # longest side of a small picture
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
 
@@ -120,6 +125,17 @@ class Activity:
     may_cancel: bool = True
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Replaced:
+    """State before the last dark, reference or change of the bench."""
+
+    by: str  # what has replaced it
+    bench: Bench
+    lattice: Lattice | None
+    darks: DarkReferenceStore
+    references: DarkReferenceStore
+
+
 class Instrument:
     """Devices with their dark, reference and estimator."""
 
@@ -144,6 +160,7 @@ class Instrument:
         )
         self._modes: dict[tuple[str, int], tuple[float, float]] = {}  # exposure and gain by amplifier and speed
         self._lattice = bench.lattice
+        self._replaced: _Replaced | None = None
         self._estimator: Estimator | None = None  # None if frames cannot be reconstructed
         self._solver: LiveEstimator | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
@@ -240,18 +257,22 @@ class Instrument:
     def take_dark(self, frames: int) -> None:
         """Average frames with the light off, and use them as dark from now on."""
         callbacks = self._callbacks(self, f"taking the dark, {counted(frames)}")
-        self.darks.keep(take_dark(self.devices, frames, callbacks), self._now())
+        taken = take_dark(self.devices, frames, callbacks)
+        self._remember("the new dark")
+        self.darks.keep(taken, self._now())
         self._prepare("with the new dark")
 
     def take_reference(self, frames: int) -> None:
         """Average frames without the sample into the reference, and find the lattice if unknown."""
         callbacks = self._callbacks(self, f"taking the reference, {counted(frames)}")
-        self.references.keep(take_reference(self.devices, frames, callbacks), self._now())
+        taken = take_reference(self.devices, frames, callbacks)
+        self._remember("the new reference")
+        self.references.keep(taken, self._now())
         self._prepare("with the new reference; after an installation, its compilation takes half a minute")
 
     def use(self, calibration: Calibration) -> None:
         """Replace bench, dark and reference, for example by recorded ones."""
-        self.bench, now = calibration.bench, self._now()
+        self.bench, now, self._replaced = calibration.bench, self._now(), None
         self.darks.use_recorded(calibration.dark, now)
         self.references.use_recorded(calibration.reference, now)
         self._prepare("with the recorded calibration")
@@ -309,7 +330,7 @@ class Instrument:
                 set_area(camera, before)
                 raise
         if taken != before:
-            self.bench, self._lattice = bench, lattice
+            self.bench, self._lattice, self._replaced = bench, lattice, None
             self._prepare("for the new region")
             self._recorder.forget_recent()
         return taken
@@ -327,8 +348,41 @@ class Instrument:
             raise BadValue(str(error)) from error
         if mask is not None:
             self.devices.stage.set_mask(mask)  # may refuse: nothing changes
+        if after != before:
+            self._remember(changes_in_words(before, after))
         self.bench = after
         self._prepare(f"{'' if mask is None else f'for the mask {mask}, '}with {changes_in_words(before, after)}")
+
+    def undoable(self) -> tuple[str, NDArray[np.uint8] | None]:
+        """Return what `undo` takes back, and a small picture of the dark or reference that returns, if any.
+
+        `WrongState` if nothing was replaced.
+        """
+        if (before := self._replaced) is None:
+            raise WrongState("there is nothing to undo: no dark, reference or bench was replaced")
+        average = (before.darks if before.by == "the new dark" else before.references).average
+        if average is None:
+            return before.by, None
+        small = average.mean[:: -(-average.mean.shape[0] // _PICTURE_PX), :: -(-average.mean.shape[1] // _PICTURE_PX)]
+        low, high = np.percentile(small, (1, 99.8))
+        return before.by, np.clip(255 * (small - low) / max(high - low, 1), 0, 255).astype(np.uint8)
+
+    def undo(self) -> str:
+        """Restore what the last dark, reference or change of the bench replaced; again, and that returns.
+
+        Return what was taken back; `WrongState` if nothing was replaced.
+        """
+        by, _ = self.undoable()
+        before = self._replaced
+        if before is not None:
+            self._remember(by)
+            self.bench, self._lattice = before.bench, before.lattice
+            self.darks, self.references = before.darks, before.references
+            self._prepare(f"as before {by}")
+        return by
+
+    def _remember(self, by: str) -> None:
+        self._replaced = _Replaced(by, self.bench, self._lattice, copy(self.darks), copy(self.references))
 
     def start_recording(
         self, folder: Path, *, command: str = WINDOW, limit: RecordingLimit = NO_LIMIT, may_rename: bool = False

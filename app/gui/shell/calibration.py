@@ -3,8 +3,11 @@
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+from numpy.typing import NDArray
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
+from PyQt6.QtGui import QImage, QPixmap
+from PyQt6.QtWidgets import QDialog, QGridLayout, QMessageBox, QWidget
 
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
@@ -95,6 +98,28 @@ class CalibrationGuide(QDialog):
 
         self._ask("Measuring \N{HORIZONTAL ELLIPSIS}", no="Cancel", refuse=self._controller.cancel)
         self._controller.send(lambda to: to.measure_linearity(), propose, lambda error: self._end(str(error)))
+
+    def ask_undo(self) -> None:
+        """Ask whether to take the last dark, reference or change of the bench back, with a picture of what returns."""
+
+        def ask(found: tuple[str, NDArray[np.uint8] | None]) -> None:
+            by, picture = found
+            question, window = f"Restore what was in force before {by}?", self.parentWidget()
+            box = QMessageBox(QMessageBox.Icon.Question, "Undo", question, parent=window)
+            if picture is not None:
+                height, width = picture.shape
+                image = QImage(picture.tobytes(), width, height, width, QImage.Format.Format_Grayscale8)
+                box.setIconPixmap(QPixmap.fromImage(image))
+            restore = Button("Restore", "", lambda: self._controller.send(lambda to: to.undo(), done))
+            box.addButton(restore, QMessageBox.ButtonRole.AcceptRole)
+            box.addButton(QMessageBox.StandardButton.Cancel)
+            box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+            box.open()
+
+        def done(by: str) -> None:
+            self._messages.inform(f"in force as before {by}; Ctrl+Z returns it")
+
+        self._controller.send(lambda to: to.undoable(), ask)
 
     def use_lattice(self, lattice: Lattice) -> None:
         self._use("lattice", lattice, "the lattice is in use")

@@ -121,7 +121,7 @@ class LightControl:
         """Tell that an average was taken, if it is usable, and ask for light after a dark."""
         status, name = self._controller.status, step.title.lower()
         if status is not None and getattr(status, name).validity == "good":
-            self._messages.inform(f"{name} taken: mean of {counted(frames)}")
+            self._messages.inform(f"{name} taken: mean of {counted(frames)}; Ctrl+Z restores the one before")
         if self._must_ask(is_on=True):
             self._ask_by_hand(is_on=True)
 
