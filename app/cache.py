@@ -79,7 +79,7 @@ def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays
 
 def _load(path: Path) -> Arrays | None:
     try:
-        with reading_npy(), np.load(path, allow_pickle=False) as kept:
+        with reading_npy(), path.open("rb") as file, np.load(file, allow_pickle=False) as kept:
             result = dict(kept)
         os.utime(path)  # least recently used results are removed first
     except (OSError, ValueError, EOFError, BadZipFile):  # missing or damaged

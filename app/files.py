@@ -91,6 +91,8 @@ def file_name_problem(name: str) -> str:
         return f"cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
     if name.endswith((".", " ")):
         return "cannot end with a point or a space"
+    if len(name) > 255:
+        return "is too long"
     return "belongs to a device under Windows" if _DEVICE.fullmatch(name) else ""
 
 
@@ -112,7 +114,9 @@ def has_locked(descriptor: int) -> bool:
             os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
             os.lseek(descriptor, place, os.SEEK_SET)
-    except (BlockingIOError, PermissionError):
+    except OSError as error:
+        if sys.platform != "win32" and not isinstance(error, BlockingIOError):  # as a disk without locks
+            raise
         return False
     return True
 

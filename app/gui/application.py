@@ -19,6 +19,7 @@ from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, saved_state
 from app.gui.shell.status_text import left_behind
+from app.gui.shortcut import take_identity
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.theme import styled_application
 from app.gui.widgets.timers import timer
@@ -60,6 +61,7 @@ def run_window(
     """
     qInstallMessageHandler(_pass_on)
     cv2.setNumThreads(1)  # one more costs a picture more than it saves
+    take_identity()
     with loading():
         application = styled_application()
         saved = saved_state() if steps is None else None

@@ -12,8 +12,8 @@ import sys
 import pytest
 
 _PACKAGES = (
-    "cv2 distributed h5netcdf h5py hypothesis jsonschema matplotlib.pyplot mm_test_adapters numba psutil pyqtgraph pymmcore"
-    " PyQt6.QtTest PyQt6.QtWidgets"
+    "cv2 distributed h5netcdf h5py hypothesis jsonschema matplotlib.pyplot mm_test_adapters numba psutil"
+    " pyqtgraph pymmcore PyQt6.QtTest PyQt6.QtWidgets"
     " rich scipy.optimize serial.tools.list_ports SimpleITK skimage tifffile typer"
     " usb.backend.libusb0 usb.backend.libusb1 usb.backend.openusb usb.core xarray zarr zmq"
 )
