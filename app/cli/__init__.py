@@ -1,5 +1,6 @@
 """The command line `svwfs`: arguments in, exit status out."""
 
+import errno
 import os
 import sys
 from contextlib import suppress
@@ -30,7 +31,8 @@ def main() -> None:
         except OSError as error:
             if isinstance(error.filename, str):  # its name cannot be used
                 _exit(InputError(f"{error.filename}: cannot be used: {error.strerror or error}"), 2)
-            if isinstance(error, BrokenPipeError):  # its reader has seen enough
+            # Its reader has seen enough; Windows says EINVAL.
+            if isinstance(error, BrokenPipeError) or (sys.platform == "win32" and error.errno == errno.EINVAL):
                 _drop_output()
                 raise SystemExit(1) from error
             _exit(RunError(f"the output cannot be printed: {error.strerror or error}"), 1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import subprocess
 import sys
 import textwrap
@@ -263,7 +264,7 @@ ENDS = {
     "the end": ("", 0),
     "an error": ("raise ZeroDivisionError", 1),
     "sys.exit": ("sys.exit(3)", 3),
-    "Ctrl-C": ("os.kill(os.getpid(), signal.SIGINT); time.sleep(10)", -2),
+    "Ctrl-C": ("signal.raise_signal(signal.SIGINT); time.sleep(10)", -2 if os.name == "posix" else 0xC000013A),
     "a thread that hangs in it": (
         (
             "light._sleep = lambda _: time.sleep(60); hang = lambda: light.set_current(1.0);"

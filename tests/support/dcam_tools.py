@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -22,6 +23,8 @@ from support.stand_ins.dcam.stand_in import StandIn
 
 @cache
 def built() -> Path:
+    if library := os.environ.get("SVWFS_DCAM_STAND_IN"):  # as under Wine, where there is no compiler
+        return Path(library)
     folder = tempfile.mkdtemp(prefix="svwfs-dcam-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     return build(Path(folder))

@@ -69,11 +69,12 @@ def main(cache: Path) -> int:
     installed = _wine(cache, "wine", _PYTHON, *pip.split())
     if installed:
         return installed
+    _compile_camera(cache, folder)
     if os.environ.get("TESTS"):
         tests = "-m pytest -q -m 'not slow' -p no:cacheprovider"
         script = f"cd /checkout && wine '{_PYTHON}' {tests} tests/{os.environ.get('ROOM', '')}"
-        return _wine(cache, "WINEQT_QPA_PLATFORM=offscreen", "PYTHONPATH=Z:\\checkout", "sh", "-c", script)
-    _compile_camera(cache, folder)
+        camera = "SVWFS_DCAM_STAND_IN=Z:\\win\\check\\dcamapi.dll"
+        return _wine(cache, "WINEQT_QPA_PLATFORM=offscreen", "PYTHONPATH=Z:\\checkout", camera, "sh", "-c", script)
     (folder / "lab.toml").write_text((FOREIGN_FRAMES / "bench.toml").read_text() + _BENCH)
     shutil.copy(_HERE / "check.py", folder)
     lamp = DC4100Wire()

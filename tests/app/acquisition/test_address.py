@@ -26,6 +26,7 @@ def test_without_an_instrument_the_sentence_says_how_to_start_one() -> None:
     assert [each.name for each in runtime_folder().iterdir()] == ["instrument.lock"]
 
 
+@pytest.mark.posix  # Windows has no file of it
 def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under Linux it has no file."""
     for name in ("instrument", "other"):
@@ -85,6 +86,7 @@ def test_desktop_and_cron_find_the_same_folder(monkeypatch: pytest.MonkeyPatch, 
     assert found == {Path(f"/tmp/svwfs-{os.getuid()}")}  # noqa: S108 - the folder that is meant
 
 
+@pytest.mark.posix  # Windows protects the temporary folder by access lists
 def test_a_folder_that_others_may_enter_is_refused() -> None:
     runtime_folder().chmod(0o755)
     with pytest.raises(RunError, match="open to others"), taken_address():

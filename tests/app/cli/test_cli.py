@@ -210,13 +210,14 @@ def test_too_long_a_name_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     assert run(monkeypatch, *command.format("x" * 300).split()) == 2
-    assert re.fullmatch(r"svwfs: x{300}\S*: cannot be used: File name too long\n", capsys.readouterr().err)
+    said = "cannot be used: File name too long" if os.name == "posix" else r"no such .*"
+    assert re.fullmatch(rf"svwfs: x{{300}}\S*: {said}\n", capsys.readouterr().err)
 
 
 def test_ctrl_c_while_the_commands_are_imported_is_one_line() -> None:
     program = "import os, signal, sys; from app.cli import main; sys.argv = ['svwfs', 'selftest']\n"
     program += "class Interrupting:\n    def find_spec(self, name, *_):\n"
-    program += "        if name == 'typer': os.kill(os.getpid(), signal.SIGINT)\n"
+    program += "        if name == 'typer': signal.raise_signal(signal.SIGINT)\n"
     program += "sys.meta_path.insert(0, Interrupting()); main()"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)  # noqa: S603 - our own program
     assert (done.returncode, done.stderr) == (130, "svwfs: interrupted\n")

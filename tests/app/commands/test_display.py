@@ -11,6 +11,8 @@ import pytest
 
 from app.commands.display import use_display
 
+pytestmark = pytest.mark.posix  # displays of Linux
+
 
 @pytest.fixture(autouse=True)
 def _no_display(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ def test_missing_extra_is_named(
         assert run(monkeypatch, "mask", "square", "--out", f"m{other}") == 0
 
 
+@pytest.mark.posix  # such names
 def test_odd_names_of_pictures_spoil_no_file(monkeypatch: pytest.MonkeyPatch) -> None:
     name = "a<&\x01\u00e4.npy"
     np.save(name, np.eye(3))

@@ -53,7 +53,7 @@ def test_opened_recording_is_found_under_its_new_name(tmp_path: Path) -> None:
     assert opened.folder == named
     np.testing.assert_array_equal(opened.pixels(2), pixels)
     shutil.rmtree(named)
-    with pytest.raises(InputError, match=r"mouse 7/frames\.jsonl: cannot be read: No such file"):
+    with pytest.raises(InputError, match=r"mouse 7[/\\]frames\.jsonl: cannot be read: No such file"):
         opened.line(0)
 
 
