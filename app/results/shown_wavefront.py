@@ -10,6 +10,7 @@ from typing import Self
 import numpy as np
 
 from app.errors import InputError
+from app.results.pupil import Pupil
 from app.results.sources import mean_of_frames, modes_of, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
@@ -94,6 +95,7 @@ class DisplayOptions:
     removed: frozenset[int] = frozenset()  # Zernike modes, by Noll's numbers
     stored: StoredWavefront | None = None  # subtracted
     averaged: int = 1  # number of frames
+    pupil: Pupil | None = None  # outside which nothing is shown; None: all lenslets
     views: int | None = None  # along each side of a square grid; None: those of the bench
 
     @property
@@ -104,6 +106,7 @@ class DisplayOptions:
         parts = (
             f"no {', '.join(removed)}" * bool(removed),
             "" if self.stored is None else f"minus {self.stored.name}",
+            "" if self.pupil is None else self.pupil.in_words,
             f"mean of {self.averaged} frames" * (self.averaged > 1),
         )
         return ", ".join(filter(None, parts))
@@ -128,6 +131,9 @@ class WavefrontDisplay:
             shown = replace(shown, views=without_piston(StoredWavefront.of(wavefront, "mean", by_mode).at(field)))
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
+        if options.pupil is not None:
+            inside = np.where(options.pupil.contains(wavefront.sensor), shown.views, np.nan)
+            shown = replace(shown, views=without_piston(inside))
         if options.removed:
             shown = replace(shown, views=without_zernikes(shown.views, options.removed, wavefront.sensor))
         return shown

@@ -108,6 +108,7 @@ class CameraPanel(Panel):
         self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
+        self._pupil = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
         self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # around lenslets to exclude
         self.measuring = Measuring(self._view)
         self._view.drawn.connect(self._draw_with_tool)
@@ -230,6 +231,7 @@ class CameraPanel(Panel):
 
     def show_numbers(self) -> None:
         self._show_badge()
+        self._pupil.draw(camera_image.pupil_edges(self._lattice, self._sensor, self.shown.pupil))
         if self._frame is None:
             return
         parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM

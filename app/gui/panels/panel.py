@@ -14,6 +14,7 @@ from app.gui.widgets.texts import ElidedLabel, mark_stale
 from app.gui.widgets.view_grid import ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.frame_statistics import FrameStatistics
+from app.results.pupil import Pupil
 from app.results.shown_wavefront import Unit
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
@@ -57,6 +58,7 @@ class DisplayState(QObject):
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.options = ""  # of the display, in words
+        self.pupil: Pupil | None = None  # of the display
         self.replayed: tuple[str, float] | None = None  # name and time, s, of the shown frame of a recording
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront

@@ -26,6 +26,7 @@ from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.dataset import write_shown
+from app.results.pupil import Pupil
 from app.results.shown_wavefront import (
     MOST_AVERAGED,
     MOST_VIEWS,
@@ -75,6 +76,7 @@ class WavefrontPanel(Panel):
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
         self.menu.store.triggered.connect(self._store)
+        self.menu.fit_pupil.triggered.connect(self._fit_pupil)
         self.menu.file.triggered.connect(self._choose_file)
         self.menu.enlarge.triggered.connect(self.enlarge)
         self.display_button = Button("Display", "Remove modes, subtract, mean, unit, views")
@@ -126,7 +128,7 @@ class WavefrontPanel(Panel):
         self.show_wavefront(None)
         self._reading.forget()
         self._display = WavefrontDisplay()
-        self.menu.change(stored=None)
+        self.menu.change(stored=None, pupil=None)
 
     @property
     def is_needed(self) -> bool:
@@ -236,6 +238,14 @@ class WavefrontPanel(Panel):
             name = f"that of {now if self.shown.replayed is None else self.shown.replayed[0]}"
             self.menu.change(stored=self._display.store(self._newest, name))
 
+    def _fit_pupil(self) -> None:
+        """Show only the pupil that the valid lenslets fill."""
+        if self._newest is None:
+            self.warned.emit("a pupil cannot be fitted: there is no wavefront")
+        else:
+            valid = self._newest.displacement.valid
+            self.menu.change(pupil=Pupil.fitted(self._newest.sensor, valid))
+
     def _choose_file(self) -> None:
         """Subtract the wavefront of a file of results as soon as it is read."""
         name, _ = QFileDialog.getOpenFileName(self, "Subtract a wavefront", "", "Results (*.nc)")
@@ -247,7 +257,7 @@ class WavefrontPanel(Panel):
 
     def _apply_options(self) -> None:
         self._display.options, self.shown.unit = self.menu.options, self.menu.unit
-        self.shown.options = self.menu.options.in_words
+        self.shown.options, self.shown.pupil = self.menu.options.in_words, self.menu.options.pupil
         self._redraw()
 
     def _redraw(self) -> None:
@@ -342,6 +352,11 @@ class DisplayMenu(QMenu):
         self.clear_stored.triggered.connect(lambda: self.change(stored=None))
         self.clear_stored.setEnabled(False)
         self.addSeparator()
+        self.fit_pupil = self._add("Fit a pupil to the valid lenslets", "A circle, with a shadow if the middle is lost")
+        self.no_pupil = self._add("Show all lenslets", "No pupil")
+        self.no_pupil.triggered.connect(lambda: self.change(pupil=None))
+        self.no_pupil.setEnabled(False)
+        self.addSeparator()
         averages = [(f"{n} frames" if n > 1 else "Off", n) for n in _AVERAGES]
         self.averages = self._add_choices("Average", "average", averages, lambda count: self.change(averaged=count))
         self.units = self._add_choices("Unit", "unit", [(unit.value, unit) for unit in Unit], self._choose_unit)
@@ -352,6 +367,7 @@ class DisplayMenu(QMenu):
     def change(self, **changes: Any) -> None:
         self.options = replace(self.options, **changes)
         self.clear_stored.setEnabled(self.options.stored is not None)
+        self.no_pupil.setEnabled(self.options.pupil is not None)
         self.changed.emit()
 
     def _choose_unit(self, unit: Unit) -> None:

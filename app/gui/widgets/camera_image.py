@@ -24,6 +24,7 @@ from app.gui.widgets.presentation import count_colours, number
 from app.gui.widgets.texts import ElidedLabel
 from app.results.frame_statistics import AreaStatistics, MeasuredPart, Selection, lengths_of
 from app.results.pictures import Pixels
+from app.results.pupil import Pupil
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
 
@@ -194,6 +195,17 @@ class DrawingView(pg.ViewBox):  # type: ignore[misc] # pyqtgraph declares no typ
         event.accept()
         ends = (event.buttonDownScenePos(), event.scenePos())
         self.drawn.emit(*map(self.mapSceneToView, ends), event.isFinish())
+
+
+def pupil_edges(lattice: Lattice | None, sensor: Sensor | None, pupil: Pupil | None) -> Floats:
+    """Return the edges of a pupil and of its shadow as pairs of ends (2 * segment, xy)."""
+    if lattice is None or sensor is None or pupil is None:
+        return np.zeros((0, 2))
+    turn = np.exp(2j * np.pi * np.arange(73) / 72)
+    around = np.stack([turn.real, turn.imag], axis=-1)
+    radii_m = pupil.radius_m, pupil.radius_m * pupil.obscuration
+    edges = [(pupil.x_m, pupil.y_m) + radius_m * np.repeat(around, 2, axis=0)[1:-1] for radius_m in radii_m]
+    return lattice.to_camera_px(np.concatenate(edges) * lattice.pitch_px / sensor.lenslet_pitch_m)
 
 
 def rectangle(start: QPointF, end: QPointF) -> Floats:

@@ -14,7 +14,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
-from support.gui_bench import BENCH, SENSOR, make_measurement
+from support.gui_bench import BENCH, LATTICE, SENSOR, make_measurement
 from support.patience import HANG_S
 from support.wavefronts import bowl, modal
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views
@@ -23,6 +23,7 @@ from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
+from app.results.pupil import Pupil
 from app.results.result_file import write_results
 from app.results.shown_wavefront import StoredWavefront
 from app.results.view_maps import Quantity
@@ -81,6 +82,30 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
     assert shown(window).shape[:2] == (5, 5)
     qtbot.waitUntil(lambda: len(panel.grid.captions) == 25)
     assert panel.grid.captions[4, 0][1][0] == "x \N{MINUS SIGN}0.50  y +0.50 mm"
+
+
+def test_fitted_pupil_limits_all_numbers_and_is_drawn_on_the_camera(window: MainWindow, qtbot: QtBot) -> None:
+    panel, menu, camera = window.panels.wavefronts, window.panels.wavefronts.menu, window.panels.camera
+    camera.show_bench(SENSOR, LATTICE, 65535)
+    round_one, inside = bowl(), Pupil(0.0, 0.0, 4.2 * SENSOR.lenslet_pitch_m).contains(SENSOR)
+    outcome = np.where(inside, round_one.displacement.outcome, LensletStatus.DARK)
+    round_one = replace(round_one, displacement=replace(round_one.displacement, outcome=outcome))
+    panel.show_wavefront(round_one)
+    choose(qtbot, menu, "Fit a pupil to the valid lenslets")
+    pupil = menu.options.pupil
+    assert pupil is not None
+    assert pupil.radius_m == pytest.approx(4.2 * SENSOR.lenslet_pitch_m, rel=0.05)
+    assert window.shown.wavefront is not None
+    seen = np.isfinite(window.shown.wavefront.views)
+    np.testing.assert_array_equal(seen, np.broadcast_to(pupil.contains(SENSOR), seen.shape))
+    assert panel._summary.text().endswith(pupil.in_words)
+    camera.show_numbers()
+    distance_px = np.hypot(*(camera._pupil.ends - (LATTICE.center_x_px, LATTICE.center_y_px)).T)
+    np.testing.assert_allclose(distance_px.max(), pupil.radius_m / SENSOR.lenslet_pitch_m * LATTICE.pitch_px)
+    choose(qtbot, menu, "Show all lenslets")
+    assert np.isfinite(window.shown.wavefront.views).all()
+    camera.show_numbers()
+    assert not len(camera._pupil.ends)
 
 
 def test_menu_of_removed_modes_stays_open_for_the_next(window: MainWindow, qtbot: QtBot) -> None:
