@@ -27,7 +27,6 @@ from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.refinement import Bias, Refinement
 from reconstruction.runtime.background import NICENESS, BackgroundProcess, Pickled, pickled
 from reconstruction.runtime.threads import one_blas_thread
-from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, mean_rms
 
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
@@ -123,10 +122,9 @@ class BackgroundEstimator:
             rest_s = (_LONG_REST if is_same else _REST) * (end_s - begin_s)
             self._rest_s = min(max(rest_s, 2 * self._rest_s), _LONGEST_STILL_S) if is_same else rest_s
             self._due_s, self._still_due_s = end_s + min(rest_s, _LONGEST_REST_S), end_s + self._rest_s
-        if before is None or not _are_alike(found, before, _KEPT_SIGMAS):
-            return found
         # Each other place would be prepared anew, and noise moves it.
-        return before if found.allowed == before.allowed else replace(before, allowed=found.allowed)
+        is_kept = before is not None and _are_alike(found, before, _KEPT_SIGMAS) and found.allowed <= before.allowed
+        return before if before is not None and is_kept else found
 
     def _resting(self, found: Found) -> Found:
         """Add for how long there is nothing to find."""
@@ -194,7 +192,6 @@ _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _CORRECTION_REST_S = 1.0  # at most, after a search with a correction, which would grow old
 _WAIT_S = 0.2
 _NOISES, _STILL_RAD = 2.0, 0.01  # changes of the wavefront from frame to frame, and a least one, that count as noise
-_MISFIT_GREW = 1.25  # noise of the displacements over that of another frame; by chance it is below 1.1
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
 
 
@@ -263,9 +260,7 @@ class LiveEstimator:
 
     def solve_single(self, displacement: Displacement, *, is_foreign: bool) -> tuple[Wavefront, Assumptions]:
         """Reconstruct a frame that is not live, with its own search if it `is_foreign` or contradicts the sample."""
-        reconstructor, sample = self._reconstructor, None if is_foreign else self._found.sample
-        if sample and reconstructor.contradicts(reconstructor.solve(displacement, sample=sample)):
-            sample = None
+        sample = self._estimator.sample_of(displacement, None if is_foreign else self._found.sample)
         return self._estimator.solve(displacement, sample=sample, rounds=ROUNDS if self._refines else 0)
 
     def as_before(self, time_s: float) -> Assumptions:
@@ -320,7 +315,7 @@ class LiveEstimator:
     def _use(self, found: Found, newest: Solved) -> None:
         """Use what was found for the frames that follow, after what depends on the layers is prepared."""
         sample, before = found.sample, self._found.sample
-        if sample and before and _are_alike(sample, before, 0.0) and sample.allowed == before.allowed:
+        if sample is not None and before is not None and _are_alike(sample, before, 0.0):
             found = found._replace(sample=before)  # a copy would count as another sample
         elif sample is not None:
             with suppress(ReconstructionError):  # of this frame
@@ -339,23 +334,15 @@ class LiveEstimator:
             self._closing.wait(min(at_most_s - rested_s, _WAIT_S))
 
     def _is_still(self) -> bool:
-        """True if the misfit has not grown, nor the wavefront changed by more than from frame to frame.
+        """True if the wavefront has not changed by more than from frame to frame.
 
-        A changed wavefront behind the same layers matters to a correction only.
+        Behind the same layers, which each frame is tested for, a change matters to a correction only.
         """
         searched, frames = self._searched, self._wavefronts
         if searched is None or frames is None:
             return False
         newest, before = frames
-        if _misfit(newest) > _MISFIT_GREW * _misfit(searched):
-            return False
         if newest.sample.ratios and not self._refines:
             return True
         moved_rad, noise_rad = (mean_rms(newest.views - other.views) for other in (searched, before))
         return not moved_rad > _NOISES * noise_rad + _STILL_RAD
-
-
-def _misfit(wavefront: Wavefront) -> float:
-    """Variance of the displacements' errors over the expected one."""
-    solution = wavefront.solution
-    return solution.noise if isinstance(solution, ModalSolution) else 1.0

@@ -101,6 +101,13 @@ class Estimator:
             alike = likeness_quality(curve, given.noise.curve, given.noise.reference_frames)
         return repeated_reference(counts, given.reference.mean) | linearity_quality(curve, "frame") | judged | alike
 
+    def sample_of(self, registered: Displacement, known: AssumedSample | None = None) -> AssumedSample:
+        """Return the `known` sample unless displacements contradict it; else search for their own."""
+        made = self.reconstructor
+        if known is not None and not made.contradicts(made.solve(registered, sample=known)):
+            return known
+        return made.find_sample(registered)
+
     def solve(
         self,
         registered: Displacement,

@@ -127,19 +127,16 @@ class Reprocessing:
     ) -> tuple[Wavefront, Assumptions]:
         """Solve for a frame; `sample` is that of an earlier frame of the block, if there is one."""
         recording, estimator = self._recording, in_force.estimator
-        if in_force.solves_as_recorded:
-            sample = assumed_sample(line.sample)
-        if sample is not None and (line.problem == SKIPPED or not in_force.solves_as_recorded):
-            made = estimator.reconstructor.solve(registered, sample=sample)
-            if estimator.reconstructor.contradicts(made):  # nor does a recorded bias belong to it
-                return estimator.solve(registered, rounds=self._rounds)
-        if self._rounds or line.bias is None or not in_force.registers_as_recorded:
+        if in_force.solves_as_recorded:  # frames were tested live, unless they were skipped
+            sample = replace(assumed_sample(line.sample), allowed=1.0 if line.problem == SKIPPED else math.inf)
+        known, sample = sample, estimator.sample_of(registered, sample)
+        is_other = known is not None and sample is not known  # and the recorded bias is not its own
+        if self._rounds or line.bias is None or is_other or not in_force.registers_as_recorded:
             return estimator.solve(registered, sample=sample, rounds=self._rounds)
         bias = recording.bias(line.bias)
         if bias.shape != registered.coefficients.shape:
             raise InputError(f"{recording.folder}: bias {line.bias} has other lenslets or field modes")
         age_s = math.nan if line.bias_age_s is None else line.bias_age_s
-        sample = sample or estimator.reconstructor.find_sample(registered)
         wavefront = estimator.reconstructor.solve(registered, bias=bias, sample=sample)
         return wavefront, Assumptions(sample, RefinementState("applied", age_s, bias=bias))
 

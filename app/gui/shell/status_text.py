@@ -22,10 +22,7 @@ from reconstruction.wavefront import Wavefront
 _SLOW_S = 1.0  # a frame shown for longer is explained
 _STOPPED = "the camera is stopped: Space starts it"
 _SATURATED = "saturated"  # in a problem of a frame
-_OTHER = DataFreshness(
-    "ANOTHER SAMPLE? SEARCHING",
-    "the frame contradicts the layers found last: any wavefront is allowed until a search has confirmed layers",
-)
+_OTHER = DataFreshness("ANOTHER SAMPLE? SEARCHING", "it contradicts the layers found last: any wavefront is allowed")
 
 
 class AlarmTracker:

@@ -20,7 +20,9 @@ from app.measurement.estimator import Estimator
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement
 from reconstruction.layers.layered_wavefront import AssumedSample
+from reconstruction.runtime.deferred import Deferred
 from reconstruction.runtime.threads import one_blas_thread
+from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
 from simulated_devices.detector import Detector
 
@@ -187,6 +189,31 @@ def test_drifting_sample_of_the_same_layer_has_no_badge(mask: str, peak_e: float
         for state in (0, 1, 2, 3, 1, 2, 3):
             registered = setup.registered(behind(mask, _FAR_M, state=state))
             assert not setup.reconstructor.contradicts(setup.reconstructor.solve(registered, sample=sample))
+
+
+@pytest.mark.slow
+def test_distance_and_misfit_are_tested_each(setup: Setup, layer: AssumedSample) -> None:
+    """A shift of the layers shows before they leave more than noise, a misfit may have no such cause."""
+    made = setup.reconstructor
+
+    def contradiction(other_m: float, seed: int, **changes: object) -> float:
+        wavefront = made.solve(setup.registered(behind("optimised", other_m, seed)), sample=layer)
+        return made.contradiction(replace(wavefront, solution=replace(wavefront.solution, **changes)))
+
+    assert contradiction(0.18, 2, noise=1.0) > 1.5
+    assert contradiction(_NEAR_M, 1, shift_sigmas=Deferred(lambda: 0.0)) > 5
+    assert contradiction(_FAR_M, 1, shift_sigmas=Deferred(lambda: 0.0)) == 0
+
+
+@pytest.mark.slow
+def test_darker_frame_of_the_same_layer_has_no_badge(setup: Setup, live: LiveEstimator) -> None:
+    """Its chi-square is larger, for any wavefront, too."""
+    own = behind("optimised", _FAR_M)
+    registered = setup.registered(replace(own, photons=own.photons * np.float32(0.4)))
+    wavefront, assumed = live.solve(registered, 1.0)
+    assert isinstance(wavefront.solution, ModalSolution)
+    assert wavefront.solution.noise > 2
+    assert not assumed.is_other
 
 
 @pytest.mark.slow

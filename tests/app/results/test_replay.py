@@ -18,9 +18,10 @@ from support.command_line import run
 from support.recordings import edit_line, record, remove_coefficients, replace_pixels, replace_values
 from support.records import frame_file
 
-from app.bench.config import write_bench
+from app.bench.config import load_bench, write_bench
 from app.bench.imaging_model import lenslet_model
 from app.errors import InputError, RunError
+from app.evaluation.frames import NoiseFreeFrames, exposure_of, with_screen
 from app.measurement.estimator import Estimator
 from app.measurement.measurement import SKIPPED, Measurement
 from app.recording.frame_lines import assumed_sample
@@ -34,12 +35,13 @@ from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise
 from reconstruction.frame.pixels import KnownCamera
-from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.reconstructor import Reconstructor
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import mean_rms, rms
+from simulated_devices.detector import Detector
 
 FRAMES = 6
 
@@ -98,6 +100,37 @@ def test_frame_after_one_without_light_starts_from_the_one_before(
     assert first.registered is not None
     assert dark.registered is None
     assert starts == [None, first.registered, first.registered]
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_frames_of_another_sample_have_their_own_layers(
+    small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """But those that were tested live are reconstructed as recorded."""
+    mine, bench = record(small_toml, tmp_path / "run", *LAYERS, frames=4), load_bench(small_toml, LAYERS)
+    other, camera = NoiseFreeFrames(with_screen(bench, distance_m=0.02)).frame(), bench.camera_model
+    for index in (2, 3):
+        photons = other.photons * np.float32(camera.exposure_s)
+        replace_pixels(mine, index, Detector(camera, seed=2).counts(photons, exposure_of(camera, index)))
+    edit_line(mine, 2, problem=SKIPPED)
+    mine = Recording(mine.folder)
+    found = list[AssumedSample]()
+    search = Reconstructor.find_sample
+
+    def find(reconstructor: Reconstructor, displacement: Displacement) -> AssumedSample:
+        found.append(search(reconstructor, displacement))
+        return found[-1]
+
+    monkeypatch.setattr(Reconstructor, "find_sample", find)
+    recorded = [assumed_sample(mine.line(index).sample).ratios for index in range(4)]
+    as_recorded = [made.wavefront.sample.ratios for made in reprocess(mine) if made.wavefront]
+    assert as_recorded == [*recorded[:2], found[0].ratios, recorded[3]]
+    assert found[0].ratios == pytest.approx((-0.1,), abs=0.05)
+    found.clear()
+    changed = reprocess(mine, None, change_of(None, ("reconstruction.refine=true",)))
+    assert [made.assumed.sample for made in changed] == [found[0], found[0], found[1], found[1]]
+    assert found[1].ratios == pytest.approx((-0.1,), abs=0.05)
 
 
 def replayed(folder: Path, *settings: str, **options: Any) -> Replay:
