@@ -319,7 +319,9 @@ class LiveEstimator:
             found = found._replace(sample=before)  # a copy would count as another sample
         elif sample is not None:
             with suppress(ReconstructionError):  # of this frame
-                self._reconstructor.solve(newest.measured, sample=sample).sigma()
+                made = self._reconstructor.solve(newest.measured, sample=sample)
+                self._reconstructor.contradicts(made)
+                made.sigma()
         self._found = found
 
     def _rest(self, at_least_s: float, at_most_s: float) -> None:

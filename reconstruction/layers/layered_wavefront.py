@@ -98,7 +98,7 @@ class _Slopes(NamedTuple):
     """Change of the displacements with the ratio of each layer, for lenslets with some shares."""
 
     low: NDArray[np.intp]  # polynomials of low degree, (m,)
-    rows: NDArray[np.float32]  # (L * K, m)
+    columns: NDArray[np.float32]  # (m, L * K)
     along: Floats  # their products with the design, (m, n)
     own: Floats  # and with each other, (m, m)
 
@@ -125,7 +125,7 @@ class LayeredWavefronts:
         self.solver, self._modes, self._parameters = solver, modes, parameters
         self._design = Remembered[_Design](6)  # of 10 MB; two layers need five for their error bars
         self._equations = Remembered[_Equations](12)
-        self._slopes = Remembered[_Slopes](4)
+        self._slopes = Remembered[_Slopes](12)  # of 1 MB
         self._known = Remembered[KnownModes](4)
 
     def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
@@ -212,10 +212,10 @@ class LayeredWavefronts:
 
         The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
         """
-        low, rows, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
+        low, columns, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
         (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
         phase = np.repeat(alone, len(low) // len(alone), axis=1) * fit.polynomials[low]  # of each layer, (layer, m)
-        score = phase @ (frame.weighted.ravel().astype(np.float32) @ rows - along @ fit.polynomials)
+        score = phase @ (columns @ frame.weighted.ravel().astype(np.float32) - along @ fit.polynomials)
         explained = (phase @ along @ vectors) / np.sqrt(singular**2 + 1 / estimate.ratio)  # by the phase itself
         normal = phase @ own @ phase.T - explained @ explained.T
         variance = self.solver.errors.larger(estimate.noise, ALIKE_IN_LAYERS) * normal + _TINY * alone
@@ -227,12 +227,12 @@ class LayeredWavefronts:
         """Slopes for lenslets with some shares (L,) of their certainty."""
         design, share = self._design(self._prepared, ratios).rows, np.frombuffer(share_bytes)
         low = np.flatnonzero(np.tile(layer_orders(self.solver.degree).sum(axis=1) <= SKETCH_DEGREE, len(ratios)))
-        rows = np.zeros((len(design), len(low)))
+        columns = np.zeros((len(low), len(design)))
         for near, far, width in _beside(ratios):
             before, after = (self._design(self._prepared, each).rows[:, low] for each in (near, far))
-            rows += (after - before) / width  # of one layer, 0 for the other
-        weighted = np.repeat(share, len(design) // len(share)) * rows.T
-        return _Slopes(low, rows.astype(np.float32), weighted @ design, weighted @ rows)
+            columns += (after - before).T / width  # of one layer, 0 for the other
+        weighted = np.repeat(share, len(design) // len(share)) * columns
+        return _Slopes(low, columns.astype(np.float32), weighted @ design, weighted @ columns.T)
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
