@@ -167,6 +167,7 @@ def test_single_frame_of_a_recording_is_searched_only_if_it_contradicts_the_laye
     monkeypatch.setattr(type(setup.reconstructor), "find_sample", lambda *_: found)
     for frame, expected in ((own, layer), (other, found)):
         assert live.solve_single(setup.registered(frame), is_foreign=False)[1].sample is expected
+    assert live.solve_single(setup.registered(own), is_foreign=True)[1].sample is found
 
 
 @pytest.mark.slow
