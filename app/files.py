@@ -132,6 +132,7 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
     for path in outputs:
         if path is None:
             continue
+        _check_names(path)
         try:
             if any(_is_part(path, other) for other in taken):
                 raise InputError(f"{path}: is used by this command already; give the output another name")
@@ -143,7 +144,6 @@ def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | Non
                 raise InputError(f"{path}: exists already; --overwrite replaces it")
             if not path.name or (path.exists() and not path.is_file()):
                 raise InputError(f"{path}: not a file that can be written")
-            _check_names(path)
             check_writable(path.parent)
         except OSError as error:
             raise InputError(f"{path}: cannot be used: {in_words(error)}") from error

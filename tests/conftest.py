@@ -105,7 +105,8 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     if "PYTEST_XDIST_WORKER" in os.environ:
         folder = folder.parent
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+        for name in ("XDG_CACHE_HOME", "WIN_PD_OVERRIDE_LOCAL_APPDATA"):
+            patch.setenv(name, str(folder / "cache"))
         with TemporaryDirectory(prefix="svwfs", dir=gettempdir()) as meeting:  # a socket's path must be short
             patch.setenv("SVWFS_RUNTIME_DIR", meeting)
             yield

