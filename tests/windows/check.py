@@ -240,7 +240,7 @@ def window() -> str:
 def screenshot(file: Path) -> None:
     """Write the display of Xvfb, which is a file, as a picture."""
     import numpy as np  # noqa: PLC0415 - the other lines need it not
-    from PIL import Image  # noqa: PLC0415
+    from PIL import Image  # noqa: PLC0415 - the same
 
     raw = (FOLDER / "Xvfb_screen0").read_bytes()
     header = np.frombuffer(raw, ">u4", 25)

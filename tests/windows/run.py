@@ -92,7 +92,8 @@ def main(cache: Path) -> int:
 def _wine(cache: Path, *command: str) -> int:
     chosen = {name: os.environ[name] for name in ("ONLY", "DEATHS", "SAID") if name in os.environ}
     variables = [f"{name}={value}" for name, value in (_VARIABLES | chosen).items()]
-    return subprocess.run([_HERE / "wine.sh", cache, "env", *variables, *command], cwd=ROOT, check=False).returncode  # noqa: S603
+    whole = [str(_HERE / "wine.sh"), str(cache), "env", *variables, *command]
+    return subprocess.run(whole, cwd=ROOT, check=False).returncode  # noqa: S603 - our own
 
 
 def _compile_camera(cache: Path, folder: Path) -> None:
