@@ -1,5 +1,6 @@
 """Child processes of this Python: their start, pipes, condition and end, the same on every system."""
 
+import ctypes
 import os
 import signal
 import subprocess
@@ -8,6 +9,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from io import BufferedReader, BufferedWriter
 from pathlib import Path
+from threading import Thread
 from typing import IO, Literal, TypeAlias
 
 import psutil
@@ -16,12 +18,6 @@ Child: TypeAlias = subprocess.Popen[bytes]
 Condition: TypeAlias = Literal["alive", "frozen", "gone"]
 
 _CRASHES = 0x80000000  # from here on, exit codes of Windows are those of its exceptions
-_BREAK_S = 5.0  # for the process that sends Ctrl-Break
-_BREAK = """
-import ctypes, sys
-of_windows, group = ctypes.windll.kernel32, int(sys.argv[1])
-sys.exit(not (of_windows.AttachConsole(group) and of_windows.GenerateConsoleCtrlEvent(1, group)))
-"""
 
 
 def start_child(
@@ -31,7 +27,7 @@ def start_child(
     output: IO[bytes] | None = None,
     is_background: bool = False,
 ) -> Child:
-    """Start this Python with a line of code; its pipes are binary, unless it prints into a file.
+    """Start this Python with a line of code; its pipes are binary, and end it, unless it prints into a file.
 
     Neither Ctrl-C nor a closed terminal reaches it. In the background it yields to this process; then it stays in the
     session, as niceness counts only there. Nothing from the working directory is imported.
@@ -42,6 +38,7 @@ def start_child(
         flags = subprocess.CREATE_NO_WINDOW | subprocess.CREATE_NEW_PROCESS_GROUP
         flags |= subprocess.BELOW_NORMAL_PRIORITY_CLASS if is_background else 0
         variables["__PYVENV_LAUNCHER__"] = sys.executable  # as `multiprocessing` does
+        code = code if output is None else f"from {__name__} import heed_requests; heed_requests(); {code}"
     return subprocess.Popen(  # noqa: S603 - this interpreter
         [_interpreter(), "-P", "-c", code, *arguments],
         stdin=subprocess.PIPE if output is None else subprocess.DEVNULL,
@@ -101,13 +98,31 @@ def condition_of(child: Child) -> Condition:
 
 
 def ask_to_end(child: Child) -> None:
-    """Ask a child to end in order, by SIGTERM, on Windows by Ctrl-Break; the caller waits for the end."""
-    if sys.platform == "win32":  # whose `terminate` kills; only a process at the same console can press a key
-        flags, command = subprocess.DETACHED_PROCESS, [_interpreter(), "-I", "-c", _BREAK, str(child.pid)]
-        with suppress(subprocess.TimeoutExpired):
-            subprocess.run(command, creationflags=flags, timeout=_BREAK_S, check=False)  # noqa: S603 - this interpreter
+    """Ask a child that prints into a file to end in order, as by SIGTERM; the caller waits for the end."""
+    if sys.platform == "win32":  # whose `terminate` kills
+        windows = ctypes.WinDLL("kernel32")
+        windows.SetEvent(_request(child.pid))  # left open: the child may look only later
     else:
         child.terminate()
+
+
+def heed_requests() -> None:
+    """Let `ask_to_end` reach this process on Windows: a thread raises SIGTERM for it."""
+    if sys.platform == "win32":
+        windows, request = ctypes.WinDLL("kernel32"), _request(os.getpid())
+
+        def wait() -> None:
+            windows.WaitForSingleObject(request, -1)
+            signal.raise_signal(signal.SIGTERM)
+
+        Thread(target=wait, name="request to end", daemon=True).start()
+
+
+def _request(process: int) -> int:
+    """Make or open the event of Windows that asks a process to end."""
+    if sys.platform == "win32":
+        return int(ctypes.WinDLL("kernel32").CreateEventW(None, True, False, f"svwfs-end-{process}"))
+    return 0
 
 
 def crash_of(child: Child) -> str:

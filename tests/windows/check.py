@@ -50,6 +50,7 @@ ASKED = """
 import sys
 from pathlib import Path
 from app.acquisition.remote.connection import reach
+from app.errors import RunError
 from app.run_facts import MAIN
 from reconstruction.runtime.child_process import ask_to_end, start_child
 import time
@@ -59,14 +60,18 @@ while True:
     try:
         connection = reach("asked")
         break
-    except Exception:
+    except RunError:
+        assert child.poll() is None, "it has ended"
         time.sleep(0.1)
 while connection.newest is None or connection.newest.wavefront is None:
     time.sleep(0.05)
 connection.start_recording(Path(sys.argv[1])).result()
 time.sleep(1)
 ask_to_end(child)
-print(child.wait(60))
+try:
+    print(child.wait(60))
+finally:
+    child.kill()
 """
 PARENT = f"""
 import sys, time

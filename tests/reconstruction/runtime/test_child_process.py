@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from support.patience import HANG_S
+from support.patience import HANG_S, wait_until
 
 from reconstruction.runtime.child_process import Child, ask_to_end, crash_of, start_child
 
 _FINISHES = """
 import signal, sys, time
-signal.signal(getattr(signal, "SIGBREAK", signal.SIGTERM), lambda *_: sys.exit(3))
+signal.signal(signal.SIGTERM, lambda *_: sys.exit(3))
 print("ready", flush=True)
 while True:
     time.sleep(0.02)
@@ -26,10 +27,9 @@ print(ctypes.windll.kernel32.GetConsoleProcessList(programs, 8), flush=True)
 """
 
 
-def test_child_that_is_asked_to_end_may_finish_its_work() -> None:
-    with start_child(_FINISHES) as child:
-        assert child.stdout is not None
-        assert child.stdout.readline().split() == [b"ready"]
+def test_child_that_is_asked_to_end_may_finish_its_work(tmp_path: Path) -> None:
+    with (tmp_path / "log").open("wb") as log, start_child(_FINISHES, output=log) as child:
+        wait_until(lambda: b"ready" in (tmp_path / "log").read_bytes())
         ask_to_end(child)
         assert child.wait(HANG_S) == 3
 
