@@ -47,28 +47,30 @@ with svwfs.connect() as instrument:
     instrument.shut_down()
 """
 ASKED = """
-import sys
+import sys, time
 from pathlib import Path
 from app.acquisition.remote.connection import reach
 from app.errors import RunError
 from app.run_facts import MAIN
 from reconstruction.runtime.child_process import ask_to_end, start_child
-import time
+
+def reached():
+    while child.poll() is None:
+        try:
+            return reach("asked")
+        except RunError:
+            time.sleep(0.1)
+    sys.exit("it has ended")
+
 with open("asked.log", "wb") as log:
     child = start_child(MAIN, "serve", "--bench", "small_demo", output=log)
-while True:
-    try:
-        connection = reach("asked")
-        break
-    except RunError:
-        assert child.poll() is None, "it has ended"
-        time.sleep(0.1)
-while connection.newest is None or connection.newest.wavefront is None:
-    time.sleep(0.05)
-connection.start_recording(Path(sys.argv[1])).result()
-time.sleep(1)
-ask_to_end(child)
 try:
+    connection = reached()
+    while connection.newest is None or connection.newest.wavefront is None:
+        time.sleep(0.05)
+    connection.start_recording(Path(sys.argv[1])).result()
+    time.sleep(1)
+    ask_to_end(child)
     print(child.wait(60))
 finally:
     child.kill()
