@@ -16,7 +16,6 @@ from app.acquisition.remote.connection import Connection, RunningInstrument
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.start_up import start_up
-from app.cache import release_memory
 from app.errors import InputError, RunError
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.messages import MessageStrip
@@ -155,7 +154,6 @@ class Controller(QObject):
             return
         made = self._access.make()
         before, self.acquisition = self.acquisition, made
-        is_first = before is None
         if before is not None:
             before.close()
         self.question_closed.emit()
@@ -163,9 +161,6 @@ class Controller(QObject):
         self.connected.emit()
         begin = self._access.begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
         self._pending = [(future, None, None) for future in begin(made)]
-        if not is_first:
-            del before
-            release_memory()
 
     def close(self, meanwhile: Callable[[], object]) -> None:
         """Turn the light off at once, close the devices, and call `meanwhile` at 25 Hz until that is done.

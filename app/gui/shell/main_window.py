@@ -22,6 +22,7 @@ from app.acquisition.remote.connection import RunningInstrument, reach
 from app.acquisition.start_up import DARK, REFERENCE
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
+from app.cache import release_memory
 from app.errors import RunError
 from app.gui.panels.panel import DisplayState, Entries
 from app.gui.shell.analyses import Analyses
@@ -215,15 +216,18 @@ class MainWindow(QMainWindow):
     def connect_devices(self) -> None:
         """Open the devices and start measuring; a light that the user switched off stays off."""
         self._timer.start()
+        is_first = self.controller.acquisition is None
         try:
             self.controller.connect_devices(is_lit=not self.light.is_kept_off)
         except RunError as error:
             self._offer_another(error)
             return
-        self.shown.measurement = self.shown.status = None
+        self.shown.measurement = self.shown.status = self._unpainted = None
         self._failure, self._activity = "", Activity("opening the devices")
         self._forget_status()
         self.status_line.restart()
+        if not is_first:
+            release_memory()  # of the instrument before, and of what was shown of it
         if self.light.is_kept_off:
             self.messages.warn("the light stays off, as you left it: L switches it on, then R takes a reference")
         self.update_text()

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import sys
 import weakref
+from collections.abc import Iterator
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 
@@ -13,8 +16,10 @@ import pytest
 from PyQt6.QtCore import QPoint
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
+from support.served import served
 from support.window_tools import MakeWindow, click, tab, wait_for_wavefront
 
+from app.acquisition.remote.connection import reach
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.instrument_factory import InstrumentFactory
@@ -26,14 +31,14 @@ COARSE = "simulation.object_samples=11", "simulation.pupil_samples=10"  # render
 def references(window: MainWindow) -> dict[str, weakref.ref[object]]:
     """Large objects of the open bench that allow weak references."""
     acquisition, measurement = window.controller.acquisition, window.shown.measurement
-    assert isinstance(acquisition, Acquisition)
+    assert acquisition is not None
     assert measurement is not None
     assert measurement.wavefront is not None
     assert measurement.calibration is not None
     assert measurement.calibration.dark is not None
     found: dict[str, object] = {
         "acquisition": acquisition,
-        "recorder": acquisition._recorder,
+        "recorder or frames": acquisition._recorder if isinstance(acquisition, Acquisition) else acquisition.frames,
         "frame": measurement.frame.pixels,
         "views": measurement.wavefront.views,
         "reference": measurement.calibration.reference.mean,
@@ -43,13 +48,32 @@ def references(window: MainWindow) -> dict[str, weakref.ref[object]]:
 
 
 def alive(found: dict[str, weakref.ref[object]]) -> list[str]:
+    """Name what is not yet garbage."""
+    gc.unfreeze()
+    gc.collect()
+    gc.freeze()
     return [name for name, each in found.items() if each() is not None]
+
+
+@pytest.fixture(params=["in the window's process", "in its own"])
+def window(
+    request: pytest.FixtureRequest, make_window: MakeWindow, runtime_folder: Path, qtbot: QtBot
+) -> Iterator[MainWindow]:
+    """A window that shows an instrument."""
+    assert runtime_folder.is_dir()
+    made, is_remote = make_window(), request.param == "in its own"
+    with served(FakeCamera()) if is_remote else nullcontext():
+        if is_remote:
+            made.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
+        else:
+            made.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(FakeCamera()))))
+        wait_for_wavefront(qtbot, made)
+        yield made
 
 
 @pytest.mark.slow
 @pytest.mark.long
-def test_closed_bench_dies_although_every_panel_has_shown_it(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
-    window, _ = live
+def test_closed_bench_dies_although_every_panel_has_shown_it(window: MainWindow, qtbot: QtBot) -> None:
     lenslet, layers, corrector = window.panels.lenslet, window.panels.layers, window.panels.corrector
     window.panels.lenslet.inspect(4, 6)
     qtbot.waitUntil(lambda: lenslet.name.text().endswith("converged"))
