@@ -142,7 +142,8 @@ class Panel(QWidget):
             plot.show_stale(is_stale=is_stale)
         for grid in self.findChildren(ViewGrid):
             grid.show_stale(is_stale=is_stale)
-        for text in self.findChildren((ElidedLabel, QTableWidget)):
+        in_header = () if self.header is None else self.header.findChildren(ElidedLabel)
+        for text in (*self.findChildren((ElidedLabel, QTableWidget)), *in_header):
             mark_stale(text, is_stale=is_stale)
 
     def table(self) -> str:

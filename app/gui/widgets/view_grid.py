@@ -284,7 +284,9 @@ class ViewGrid(QWidget):
 
     def _paint_captions(self, painter: QPainter) -> None:
         line, width = self.fontMetrics().height(), self._caption_width
-        for index, colour in enumerate((theme.TEXT, theme.DIM)[: self.places.caption_lines]):
+        for index, colour in enumerate(
+            (theme.DIM if self.is_stale else theme.TEXT, theme.DIM)[: self.places.caption_lines]
+        ):
             wording = self._wording(index)
             if wording is None:
                 continue

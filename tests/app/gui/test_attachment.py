@@ -267,6 +267,20 @@ def test_a_window_that_runs_the_instrument_itself_has_nothing_to_leave(
         qtbot.waitUntil(lambda: "runs the instrument itself" in said_in(window))
 
 
+def test_result_that_cannot_be_sent_is_one_sentence_and_the_next_is_shown(
+    window: MainWindow, server: Server, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as unsendable:
+        unsendable.setattr(server.acquisition, "_light_state", lambda: {1, 2})  # no plain data
+        sentence = "this frame cannot be shown: a set cannot be sent to another process"
+        qtbot.waitUntil(lambda: said_in(window) == sentence)
+        assert window.shown.wavefront is None
+        assert server.acquisition.is_alive
+    qtbot.waitUntil(lambda: window.shown.wavefront is not None)
+    qtbot.waitUntil(lambda: "cannot be" not in said_in(window))
+    assert window.messages.log.lower().count("cannot be sent") == 1
+
+
 @pytest.fixture
 def gone(quick_toml: Path, runtime_folder: Path, tmp_path: Path) -> Iterator[subprocess.Popen[bytes]]:
     """`svwfs serve` in a process, to be killed."""

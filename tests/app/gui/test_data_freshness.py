@@ -35,7 +35,12 @@ def is_grey(window: MainWindow) -> bool:
     plots = panels.quality.mtf, panels.quality.structure, panels.coefficients.plot, enlarged.across
     states |= {plot.view.childGroup.opacity() < 1 for plot in plots}
     states |= {panels.camera._view.childGroup.opacity() < 1, colours(enlarged.surface) < 0.01}
-    texts = panels.quality.sentence, panels.coefficients.plot.title, panels.coefficients.numbers
+    texts = (
+        panels.wavefronts._summary,
+        panels.quality.sentence,
+        panels.coefficients.plot.title,
+        panels.coefficients.numbers,
+    )
     states |= {bool(text.property("stale")) for text in texts}
     assert len(states) == 1
     return states.pop()
