@@ -212,7 +212,7 @@ def reconstruct() -> str:
 def measure() -> str:
     svwfs("measure", "--bench", "small_demo", "--frames", 5, "--average", 4, "--out", "measured")
     complete("measured")
-    return python("import svwfs; print(*svwfs.open_result('measured/results.nc').sizes.items())").strip()
+    return python("import svwfs; print(svwfs.open_result('measured/results.nc').sizes['frame'], 'frames')").strip()
 
 
 def serve() -> str:
@@ -410,7 +410,7 @@ LINES: dict[str, Callable[[], str]] = {
     "devices --check light": check_light,
     "light-off": light_off,
     "serve, DCAM and serial light": lab,
-    "asked to end": asked_to_end,
+    "instrument asked to end": asked_to_end,
     "console closed": console_closed,
     "instrument killed": instrument_killed,
     "watchdog killed": watchdog_killed,
