@@ -293,10 +293,8 @@ class Reconstructor:
         if solution.noise <= by_chance + systematic_misfit(is_blind=is_blind) ** 2 * solution.energy:
             return shift  # and any wavefront, which costs another solve, cannot explain much more
         free = cast("ModalSolution", self._solve(wavefront.displacement, FREE).solution).noise
-        beyond, not_noise = (
-            math.sqrt(max(noise - by_chance * least, 0.0) / solution.energy)
-            for noise, least in ((solution.noise, free), (free, 1.0))
-        )
+        unexplained = solution.noise - by_chance * free, free - by_chance
+        beyond, not_noise = (math.sqrt(max(each, 0.0) / solution.energy) for each in unexplained)
         return max(shift, beyond / systematic_misfit(not_noise, is_blind=is_blind))
 
     def registration_for(self, reference: Image) -> RegistrationMethod:

@@ -5,7 +5,6 @@ wavefront even where the source is blind (docs/layers.md).
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,7 +20,6 @@ from reconstruction.layers.layer_solver import (
     LayerModes,
     LayerSolver,
     along_principal,
-    layer_orders,
     principal,
     prior_scale,
     require_lenslets,
@@ -97,8 +95,7 @@ class _Equations(NamedTuple):
 class _Slopes(NamedTuple):
     """Change of the displacements with the ratio of each layer, for lenslets with some shares."""
 
-    low: NDArray[np.intp]  # polynomials of low degree, (m,)
-    columns: NDArray[np.float32]  # (m, L * K)
+    columns: NDArray[np.float32]  # of the polynomials of low degree of all layers, (m, L * K)
     along: Floats  # their products with the design, (m, n)
     own: Floats  # and with each other, (m, m)
 
@@ -212,9 +209,10 @@ class LayeredWavefronts:
 
         The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
         """
-        low, columns, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
+        columns, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
         (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
-        phase = np.repeat(alone, len(low) // len(alone), axis=1) * fit.polynomials[low]  # of each layer, (layer, m)
+        low = len(own) // len(alone)  # of each layer
+        phase = np.repeat(alone, low, axis=1) * fit.polynomials.reshape(len(alone), -1)[:, :low].ravel()  # (layer, m)
         score = phase @ (columns @ frame.weighted.ravel().astype(np.float32) - along @ fit.polynomials)
         explained = (phase @ along @ vectors) / np.sqrt(singular**2 + 1 / estimate.ratio)  # by the phase itself
         normal = phase @ own @ phase.T - explained @ explained.T
@@ -226,29 +224,26 @@ class LayeredWavefronts:
     def _per_ratio(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Slopes:
         """Slopes for lenslets with some shares (L,) of their certainty."""
         design, share = self._design(self._prepared, ratios).rows, np.frombuffer(share_bytes)
-        low = np.flatnonzero(np.tile(layer_orders(self.solver.degree).sum(axis=1) <= SKETCH_DEGREE, len(ratios)))
-        columns = np.zeros((len(low), len(design)))
-        for near, far, width in _beside(ratios):
-            before, after = (self._design(self._prepared, each).rows[:, low] for each in (near, far))
-            columns += (after - before).T / width  # of one layer, 0 for the other
+        degree, change = min(SKETCH_DEGREE, self.solver.degree), []
+        for ratio in ratios:
+            step = _STEP * (1 + abs(ratio))
+            before, after = (self.solver.rows(ratio + side * step, degree) for side in (-1, 1))
+            change.append((after - before).reshape(len(design), -1) * prior_scale(degree) / (2 * step))
+        columns = np.concatenate(change, axis=1).T
         weighted = np.repeat(share, len(design) // len(share)) * columns
-        return _Slopes(low, columns.astype(np.float32), weighted @ design, weighted @ columns.T)
+        return _Slopes(columns.astype(np.float32, order="C"), weighted @ design, weighted @ columns.T)
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
         if sample.covariance is None:
             return np.zeros((np.count_nonzero(self._modes.columns), len(sample.ratios)))
-        slopes = [
-            (self._fit(far, frame).wavefront - self._fit(near, frame).wavefront) / width
-            for near, far, width in _beside(sample.ratios)
-        ]
+        slopes = []
+        for place, ratio in enumerate(sample.ratios):
+            step = _STEP * (1 + abs(ratio))
+            near, far = (
+                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), frame)
+                for side in (-1, 1)
+            )
+            slopes.append((far.wavefront - near.wavefront) / (2 * step))
         values, vectors = np.linalg.eigh(sample.covariance)
         return np.asarray(np.transpose(slopes) @ (vectors * np.sqrt(np.maximum(values, 0.0))))
-
-
-def _beside(ratios: tuple[float, ...]) -> Iterator[tuple[tuple[float, ...], tuple[float, ...], float]]:
-    """Yield, for each ratio, all with this one a step smaller and larger, and their difference."""
-    for place, ratio in enumerate(ratios):
-        step = _STEP * (1 + abs(ratio))
-        near, far = ((*ratios[:place], ratio + side * step, *ratios[place + 1 :]) for side in (-1, 1))
-        yield near, far, 2 * step
