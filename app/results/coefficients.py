@@ -51,6 +51,12 @@ class ModeCoefficients:
     sigma_rad: Floats  # standard deviation for a single frame, (pupil_mode,); NaN where unknown
     field_map: Floats | None  # of the mapped mode, rad, (row, column); NaN outside the field
 
+    def table(self, unit: str, per_rad: float) -> str:
+        """Return name, value and standard deviation of each mode in a unit as tab-separated lines."""
+        numbers = zip(self.names[1:], self.rad[1:] * per_rad, self.sigma_rad[1:] * per_rad, strict=True)
+        rows = [f"{name}\t{value:.7g}\t{sigma:.7g}" for name, value, sigma in numbers]
+        return "\n".join([f"mode\tvalue ({unit})\tstandard deviation ({unit})", *rows])
+
 
 def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficients:
     """Fit modes to the wavefront at the lenslet centres, of the selected view or of a field mode.

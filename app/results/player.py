@@ -35,6 +35,24 @@ class Overview:
     is_dark: frozenset[int]  # frames that were taken with the light off
     faults: dict[int, tuple[Fault, str]]  # kind and reason of each frame that has one
 
+    def course(self, points: int) -> tuple[Floats, Floats, Floats]:
+        """Return the times of at most so many points, and number of lenslets and RMS there, each of its largest.
+
+        A point has the fewest lenslets and the largest RMS of the frames that it stands for, NaN without a wavefront.
+        """
+        first = np.arange(0, len(self.time_s), -(-len(self.time_s) // points))
+        time_s, valid = self.time_s[first], np.fmin.reduceat(self.valid, first)
+        rms_rad, longest_s = np.fmax.reduceat(self.rms_rad, first), max(float(self.time_s[-1]), 1e-9)
+        most = (max(float(np.nanmax(values, initial=0)), 1e-9) for values in (self.valid, self.rms_rad))
+        return time_s / longest_s, valid / next(most), rms_rad / next(most)
+
+    def in_words(self, frames: range) -> list[tuple[int, str]]:
+        """Return position, and place and reason in words, of each of the `frames` that has a fault."""
+        return [
+            (position, f"frame {frames[position]}, {self.time_s[position]:.2f} s, {kind}: {reason}")
+            for position, (kind, reason) in sorted(self.faults.items())
+        ]
+
 
 class Player:
     """Opens devices that play a recording, and sets the calibration of each frame.

@@ -45,6 +45,14 @@ class Pupil:
         return np.asarray((self.obscuration <= share) & (share <= 1))
 
     @property
+    def edges_m(self) -> Floats:
+        """Edges of pupil and shadow as pairs of ends (2 * segment, xy)."""
+        turn = np.exp(2j * np.pi * np.arange(73) / 72)
+        around = np.repeat(np.stack([turn.real, turn.imag], axis=-1), 2, axis=0)[1:-1]
+        radii_m = np.array([self.radius_m, self.radius_m * self.obscuration])
+        return np.asarray((self.x_m, self.y_m) + np.concatenate(radii_m[:, None, None] * around))
+
+    @property
     def in_words(self) -> str:
         """Diameter and shadow, for a caption."""
         shadow = f", obscuration {100 * self.obscuration:.0f} %" if self.obscuration else ""

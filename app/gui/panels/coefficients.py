@@ -122,12 +122,7 @@ class CoefficientsPanel(Panel):
         self._show_map(found)
 
     def table(self) -> str:
-        """Return name, value and standard deviation of each mode as tab-separated lines."""
-        if (found := self._found) is None:
-            return ""
-        numbers = zip(found.names, found.rad * self.shown.per_rad, found.sigma_rad * self.shown.per_rad, strict=True)
-        rows = [f"{name}\t{value:.7g}\t{sigma:.7g}" for name, value, sigma in numbers]
-        return "\n".join([f"mode\tvalue ({self.shown.unit})\tstandard deviation ({self.shown.unit})", *rows[1:]])
+        return "" if self._found is None else self._found.table(self.shown.unit, self.shown.per_rad)
 
     def pin(self, mode: int | None) -> None:
         """Record and map a mode from now on, or none."""

@@ -5,8 +5,9 @@ from concurrent.futures import Future
 from functools import partial
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QSignalBlocker, Qt
-from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF
+import pyqtgraph as pg
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QFrame, QSlider
 
 from app.acquisition.instrument import Status
@@ -20,12 +21,9 @@ from app.gui.widgets.texts import label
 from app.measurement.measurement import Measurement
 from app.recording.recover import frames_in_words
 from app.results.player import Overview, Player
-from reconstruction.arrays import Floats
 
 _NAMES = ("\N{VULGAR FRACTION ONE QUARTER}", "\N{VULGAR FRACTION ONE HALF}", "1", "2", "4")
 _SPEEDS = {f"\N{MULTIPLICATION SIGN} {name}": 0.25 * 2**index for index, name in enumerate(_NAMES)}
-
-
 _COLOURS = {"bad": theme.RED, "saturated": theme.AMBER, "dark": theme.DIM}  # of marks
 _POINTS = 1000  # of a curve, and places of marks
 _MARGIN_PX = 3
@@ -46,35 +44,27 @@ class Timeline(QSlider):
         self.setToolTip(_ABOUT)
         self.setAccessibleName("Position in the recording")
         self.setMinimumHeight(2 * self.fontMetrics().height())
-        self._curves: list[tuple[QColor, Floats, Floats]] = []  # colour, place and height, of 1; NaN in gaps
         self.show_overview(None, frozenset())
 
     def show_overview(self, overview: Overview | None, damaged: frozenset[int]) -> None:
         """Show the course of a recording, or only its length, and mark `damaged` positions as bad."""
-        self.marked, count = damaged, self.maximum() + 1
-        time_s = np.arange(count) if overview is None else overview.time_s
+        self.marked, self._overview = damaged, overview
+        time_s = np.arange(self.maximum() + 1) if overview is None else overview.time_s
         self._place = time_s / max(float(time_s[-1]), 1e-9)  # of each position, of 1
         kinds = {} if overview is None else {position: kind for position, (kind, _) in overview.faults.items()}
         kinds |= dict.fromkeys(damaged, "bad")
         self._marks = {round(_POINTS * self._place[position]): _COLOURS[kind] for position, kind in kinds.items()}
-        self._curves.clear()
-        if overview is not None:
-            first = np.arange(0, count, -(-count // _POINTS))
-            curves = (theme.GREEN, overview.valid, np.fmin, 1.0), (theme.ACCENT, overview.rms_rad, np.fmax, 0.8)
-            for colour, values, extreme, top in curves:
-                height = top * extreme.reduceat(values, first) / max(float(np.nanmax(values, initial=0)), 1e-9)
-                self._curves.append((colour, self._place[first], height))
         self.update()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
         painter, height = QPainter(self), self.height() - _MARK_PX - 2
         painter.fillRect(self.rect(), theme.RAISED)
-        for colour, place, of_1 in self._curves:
-            painter.setPen(QPen(colour, 1))
-            x, y = _MARGIN_PX + self._reach_px * place, height - (height - 2) * of_1
-            for part in np.split(np.arange(len(x)), np.flatnonzero(np.isnan(y))):
-                known = part[~np.isnan(y[part])]
-                painter.drawPolyline(QPolygonF([QPointF(x[at], y[at]) for at in known]))
+        if self._overview is not None:
+            place, valid, rms = self._overview.course(_POINTS)
+            for colour, of_1 in ((theme.GREEN, valid), (theme.ACCENT, 0.8 * rms)):
+                painter.setPen(QPen(colour, 1))
+                x, y = _MARGIN_PX + self._reach_px * place, height - (height - 2) * of_1
+                painter.drawPath(pg.arrayToQPath(x, y, connect="finite"))
         for place, colour in self._marks.items():
             x = _MARGIN_PX + round(self._reach_px * place / _POINTS)
             painter.fillRect(x - 1, self.height() - _MARK_PX, 3, _MARK_PX, colour)
@@ -216,11 +206,9 @@ class ReplayBar(QFrame):
 
     def _faults(self) -> Iterator[tuple[str, Callable[[], object]]]:
         """Yield the frames with a fault, and what goes to each."""
-        if self._player is None or self._overview is None:
-            return
-        for position, (kind, reason) in sorted(self._overview.faults.items())[:_MOST_LISTED]:
-            place = f"frame {self._player.frames[position]}, {self._overview.time_s[position]:.2f} s"
-            yield f"{place}, {kind}: {reason}", partial(self.slider.setValue, position)
+        if self._player is not None and self._overview is not None:
+            for position, text in self._overview.in_words(self._player.frames)[:_MOST_LISTED]:
+                yield text, partial(self.slider.setValue, position)
 
     def _write(self, position: int) -> None:
         if self._overview is not None:

@@ -201,11 +201,7 @@ def pupil_edges(lattice: Lattice | None, sensor: Sensor | None, pupil: Pupil | N
     """Return the edges of a pupil and of its shadow as pairs of ends (2 * segment, xy)."""
     if lattice is None or sensor is None or pupil is None:
         return np.zeros((0, 2))
-    turn = np.exp(2j * np.pi * np.arange(73) / 72)
-    around = np.stack([turn.real, turn.imag], axis=-1)
-    radii_m = pupil.radius_m, pupil.radius_m * pupil.obscuration
-    edges = [(pupil.x_m, pupil.y_m) + radius_m * np.repeat(around, 2, axis=0)[1:-1] for radius_m in radii_m]
-    return lattice.to_camera_px(np.concatenate(edges) * lattice.pitch_px / sensor.lenslet_pitch_m)
+    return lattice.to_camera_px(pupil.edges_m * lattice.pitch_px / sensor.lenslet_pitch_m)
 
 
 def rectangle(start: QPointF, end: QPointF) -> Floats:

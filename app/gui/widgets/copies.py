@@ -51,7 +51,7 @@ def save_numbers(parent: QWidget, table: str) -> None:
     path = ask_file(parent, "Save the numbers", "numbers.csv", "Table (*.csv)")
     if path is not None:
         rows = [line.split("\t") for line in table.splitlines()]
-        work = FileWork(parent, lambda problem: _box(parent, problem).exec())
+        work = FileWork(parent, lambda problem: QMessageBox.warning(parent, "svwfs", problem))
         work.run(partial(write_csv, path, rows[0], rows[1:]), lambda _: work.deleteLater(), writes=str(path))
 
 
@@ -78,23 +78,14 @@ def ask_file(parent: QWidget, title: str, proposed: str, kinds: str, *also: str)
     path, suffix = Path(name), Path(proposed).suffix
     if f"*{path.suffix.lower()}" not in re.split(r"[ ()]", kinds):
         if path.suffix.strip(".0123456789"):  # of another kind; ".5" ends a number
-            box = _box(parent, f"{path.name} would not be what its name says. End the name with {suffix}.")
-            box.addButton(QMessageBox.StandardButton.Ok)
-            box.exec()
+            why = f"{path.name} would not be what its name says. End the name with {suffix}."
+            QMessageBox.warning(parent, "svwfs", why)
             return None
         path = path.with_name(f"{path.name}{suffix}")
     existing = [one.name for one in (path, *map(path.with_suffix, also)) if answer(one.exists, otherwise=True)]
-    if not existing:
-        return path
-    box = _box(parent, f"{' and '.join(existing)} exist{'s' * (len(existing) == 1)} already. Replace?")
-    replace = box.addButton("Replace", QMessageBox.ButtonRole.DestructiveRole)
-    box.setDefaultButton(box.addButton(QMessageBox.StandardButton.Cancel))
-    box.exec()
-    return path if box.clickedButton() is replace else None
-
-
-def _box(parent: QWidget, text: str) -> QMessageBox:
-    return QMessageBox(QMessageBox.Icon.Warning, "svwfs", text, parent=parent)
+    question = f"{' and '.join(existing)} exist{'s' * (len(existing) == 1)} already. Replace?"
+    yes, no = QMessageBox.StandardButton.Yes, QMessageBox.StandardButton.Cancel
+    return path if not existing or QMessageBox.question(parent, "svwfs", question, yes | no, no) == yes else None
 
 
 def write_picture(path: Path, picture: QPixmap | QImage) -> None:

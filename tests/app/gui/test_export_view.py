@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import xarray as xr
 from PyQt6.QtGui import QAction, QImage
-from PyQt6.QtWidgets import QFileDialog
+from PyQt6.QtWidgets import QFileDialog, QMessageBox, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import SENSOR, FakeCamera
-from support.window_tools import MakeWindow, choose_button
+from support.window_tools import MakeWindow
 
 from app.bench.config import load_bench
 from app.gui.shell.main_window import MainWindow
@@ -58,11 +58,16 @@ def test_existing_files_are_replaced_only_when_asked(
     window, _ = live
     for name in ("seen.nc", "seen.png"):
         (tmp_path / name).write_text("mine")
-    asked = choose_button(monkeypatch, "Cancel")
+    answers, asked = [QMessageBox.StandardButton.Yes, QMessageBox.StandardButton.Cancel], list[str]()
+
+    def ask(_parent: QWidget, _title: str, question: str, *_: object) -> QMessageBox.StandardButton:
+        asked.append(question)
+        return answers.pop()
+
+    monkeypatch.setattr(QMessageBox, "question", ask)
     export(window, monkeypatch, tmp_path / "seen")
-    assert asked == ["seen.png and seen.nc exist already. Replace? "]
+    assert asked == ["seen.png and seen.nc exist already. Replace?"]
     assert {path.read_text() for path in tmp_path.iterdir()} == {"mine"}
-    choose_button(monkeypatch, "Replace")
     export(window, monkeypatch, tmp_path / "seen")
     qtbot.waitUntil(lambda: "Saved" in window.messages.log)
     assert {path.name for path in tmp_path.iterdir() if path.read_bytes() != b"mine"} == {"seen.nc", "seen.png"}
@@ -76,9 +81,10 @@ def test_names_with_numbers_stay_apart_and_other_suffixes_are_refused(
     for name in ("tilt_0.5", "tilt_0.7"):
         export(window, monkeypatch, tmp_path / name)
         qtbot.waitUntil(lambda name=name: f"{name}.png and {name}.nc" in window.messages.log)  # type: ignore[misc] # mypy and defaults
-    asked = choose_button(monkeypatch, "OK")
+    refused = list[str]()
+    monkeypatch.setattr(QMessageBox, "warning", lambda _parent, _title, why: refused.append(why))
     export(window, monkeypatch, tmp_path / "shown.csv")
-    assert asked == ["shown.csv would not be what its name says. End the name with .png. "]
+    assert refused == ["shown.csv would not be what its name says. End the name with .png."]
     files = {f"tilt_0.{tenths}.{kind}" for tenths in (5, 7) for kind in ("png", "nc")}
     assert {path.name for path in tmp_path.iterdir()} == files
 
