@@ -24,6 +24,7 @@ from app.files import atomic_write, check_writable
 from reconstruction.arrays import reading_npy
 
 _KEPT = 400  # results of one kind; a third of a gigabyte of images
+_ARENA_MAX = -8  # of `mallopt` in the GNU library
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -108,6 +109,12 @@ def kept_while_alive(maxsize: int) -> Callable[[Any], Any]:
         return kept
 
     return decorate
+
+
+def share_memory_of_threads() -> None:
+    """Let all later threads allocate from two places: of a place for each, most could never be returned."""
+    if sys.platform == "linux" and (set_option := getattr(ctypes.CDLL(None), "mallopt", None)):
+        set_option(_ARENA_MAX, 2)
 
 
 def release_memory() -> None:

@@ -14,7 +14,7 @@ from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.cache import loading
+from app.cache import loading, share_memory_of_threads
 from app.errors import SHOWN, Interrupted, RunError, ended_by
 from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
 from app.gui.shell.state import apply_preferences, saved_state
@@ -60,6 +60,7 @@ def run_window(
         A signal such as Ctrl-C closed the window.
     """
     qInstallMessageHandler(_pass_on)
+    share_memory_of_threads()
     cv2.setNumThreads(1)  # one more costs a picture more than it saves
     take_identity()
     with loading():

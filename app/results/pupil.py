@@ -50,7 +50,7 @@ class Pupil:
         turn = np.exp(2j * np.pi * np.arange(73) / 72)
         around = np.repeat(np.stack([turn.real, turn.imag], axis=-1), 2, axis=0)[1:-1]
         radii_m = np.array([self.radius_m, self.radius_m * self.obscuration])
-        return np.asarray((self.x_m, self.y_m) + np.concatenate(radii_m[:, None, None] * around))
+        return np.asarray(np.array([self.x_m, self.y_m]) + np.concatenate(radii_m[:, None, None] * around))
 
     @property
     def in_words(self) -> str:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import weakref
 from typing import Any
 
@@ -65,3 +67,29 @@ def test_cache_recomputes_damaged_and_drops_old_results(monkeypatch: pytest.Monk
     os.utime(folder / "a.npz", (0, 0))
     cached("test-kind", "b", compute)
     assert [path.name for path in folder.glob("*")] == ["b.npz"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="asks the GNU library")
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_threads_of_a_window_allocate_from_two_places(is_shared: bool) -> None:
+    """Without that, each of ten analyses has a place of its own, and a window grows with each bench."""
+    code = f"""
+import ctypes, threading
+from app.cache import share_memory_of_threads
+if {is_shared}:
+    share_memory_of_threads()
+libc, barrier = ctypes.CDLL(None), threading.Barrier(9)
+def work():
+    kept = [bytearray(1000) for _ in range(1000)]
+    barrier.wait()
+    barrier.wait()
+threads = [threading.Thread(target=work) for _ in range(8)]
+for thread in threads:
+    thread.start()
+barrier.wait()
+libc.malloc_info(0, ctypes.c_void_p.in_dll(libc, "stdout"))
+libc.fflush(None)
+barrier.wait()
+"""
+    made = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)  # noqa: S603 - this interpreter
+    assert (made.stdout.count("<heap nr=") <= 2) is is_shared
