@@ -32,7 +32,7 @@ from reconstruction.wavefront import Wavefront, mean_rms
 _HARM = 1.2  # rise of the misfit by a harmful correction; noise stays below
 _HARM_PX = 0.003  # added, for a misfit of nearly 0
 _REST, _LONG_REST = 1, 9  # after a search, over its time; the latter if it has found the same again
-_LONGEST_REST_S = 5.0  # if the wavefront or its misfit has changed since
+_LONGEST_REST_S = 5.0  # if the wavefront has changed since
 _LONGEST_STILL_S = 60.0  # if not; each rest is twice as long as the one before
 _SAME_SIGMAS, _KEPT_SIGMAS = 3.0, 1.0  # within the latter the sample found before is kept
 
@@ -43,7 +43,7 @@ class Solved(NamedTuple):
     measured: Displacement  # before the bias
     time_s: float
     assumed: Assumptions
-    is_still: bool = False  # wavefront and misfit are those of a frame that was searched before
+    is_still: bool = False  # the wavefront is that of a frame that was searched before
 
 
 class Found(NamedTuple):
@@ -55,7 +55,7 @@ class Found(NamedTuple):
     is_helpful: bool = True  # corrections near it do no harm
     problem: str = ""  # why nothing new was found
     rest_s: float = 0.0  # time until there may be something to find
-    idle_s: float = 0.0  # the same, unless wavefront or misfit changes
+    idle_s: float = 0.0  # the same, unless the wavefront changes
 
 
 class BackgroundEstimator:
