@@ -257,6 +257,7 @@ def restored_theme(qapp: QApplication) -> Iterator[None]:
         colour.setNamedColor(name)
     qapp.setPalette(palette)
     qapp.setStyleSheet(style)
+    qapp.setProperty("theme", None)
 
 
 @pytest.fixture

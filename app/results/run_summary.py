@@ -68,7 +68,12 @@ def rms_noise(wavefront: Wavefront) -> Floats:
 
     A wavefront with a smaller RMS cannot be told from a flat one. NaN where the wavefront is unknown.
     """
-    variance = wavefront.sigma() ** 2
+    return rms_over_lenslets(wavefront.sigma())
+
+
+def rms_over_lenslets(sigma: Floats) -> Floats:
+    """RMS of values (view_row, view_column, lenslet_row, lenslet_column) over the lenslets; NaN where all are NaN."""
+    variance = sigma**2
     known = np.isfinite(variance)
     with np.errstate(invalid="ignore"):
         mean = np.sum(variance, axis=(2, 3), where=known) / np.count_nonzero(known, axis=(2, 3))

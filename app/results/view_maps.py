@@ -10,7 +10,7 @@ import numpy as np
 from app.cache import kept_while_alive
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Measurement
-from app.results.run_summary import noise_above_rms
+from app.results.run_summary import noise_above_rms, rms_over_lenslets
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, LensletStatus, field_means
 from reconstruction.errors import ReconstructionError
@@ -133,10 +133,12 @@ class ViewNumbers:
     second: Floats  # peak to valley, peak, or maximum
     mean: float  # of the RMS, or of all standard deviations; NaN for a PSF
     noise_rad: float | None = None  # that hides the wavefront of a single frame
+    sigma_rad: Floats | None = None  # errors of the maps of a single frame
+    error_rad: Floats | None = None  # their RMS over the lenslets
 
 
 def view_numbers(quantity: Quantity, maps: Floats, single: Wavefront | None = None) -> ViewNumbers:
-    """Return the numbers of maps (view_row, view_column, row, column), with a `single` frame's noise."""
+    """Return the numbers of maps (view_row, view_column, row, column), with a `single` frame's errors."""
     if quantity is Quantity.PSF:
         middle = maps[..., maps.shape[2] // 2, maps.shape[3] // 2]
         return ViewNumbers(quantity, middle, maps.max(axis=(2, 3)), math.nan)
@@ -145,8 +147,12 @@ def view_numbers(quantity: Quantity, maps: Floats, single: Wavefront | None = No
         means = [_mean(maps[view][known[view]]) for view in np.ndindex(maps.shape[:2])]
         most = np.max(maps, axis=(2, 3), initial=-np.inf, where=known)
         return ViewNumbers(quantity, np.reshape(means, maps.shape[:2]), most, _mean(maps[known]))
-    noise_rad = None if single is None else noise_above_rms(single)
-    return ViewNumbers(quantity, rms(maps), peak_to_valley(maps), mean_rms(maps), noise_rad)
+    found = ViewNumbers(quantity, rms(maps), peak_to_valley(maps), mean_rms(maps))
+    if single is None:
+        return found
+    sigma_rad = single.sigma()
+    noise_rad, error_rad = noise_above_rms(single), rms_over_lenslets(sigma_rad)
+    return replace(found, noise_rad=noise_rad, sigma_rad=sigma_rad, error_rad=error_rad)
 
 
 def _mean(values: Floats) -> float:

@@ -78,7 +78,7 @@ def windows() -> Iterator[MakeWindow]:
 
 
 def wait_for_wavefront(qtbot: QtBot, window: MainWindow) -> None:
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     qtbot.waitUntil(lambda: window.controller.is_settled)
 
 
@@ -136,13 +136,13 @@ def choose_button(monkeypatch: pytest.MonkeyPatch, label: str, defaults: list[st
 
 def tabs(window: MainWindow) -> dict[str, Panel]:
     """Panels that are tabs, by title."""
-    return {panel.title: panel for panel in window.panels if panel.dock_area == "tab"}
+    return {panel.title: panel for panel in window.panels if panel.is_tab}
 
 
 def tab(window: MainWindow, title: str) -> tuple[QTabBar, QPoint]:
     """Find a panel's tab: its bar, and its middle there."""
     QApplication.processEvents()
-    bars = [bar for bar in window.findChildren(QTabBar) if window.rect().intersects(bar.geometry())]  # Qt keeps others
+    bars = [bar for bar in window.findChildren(QTabBar) if bar.isVisible()]  # Qt keeps others
     places = [(bar, index) for bar in bars for index in range(bar.count()) if bar.tabText(index) == title]
     (bar, index) = places[0]
     return bar, bar.tabRect(index).center()

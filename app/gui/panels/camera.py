@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
-from PyQt6.QtWidgets import QApplication, QMenu
+from PyQt6.QtWidgets import QApplication, QMenu, QWidget
 
 from app.acquisition.instrument import Status
-from app.gui.panels.panel import DisplayState, Entries, Panel, Request
+from app.gui.panels.panel import DisplayState, Entries, MoreEntries, Panel, Request
 from app.gui.widgets import camera_image, theme
-from app.gui.widgets.buttons import Choice, Toggle
+from app.gui.widgets.buttons import Choice, checkable
 from app.gui.widgets.camera_image import CameraImage, DrawingView, Measuring, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.layouts import column, row, row_of, unfocused
+from app.gui.widgets.layouts import column, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.gui.widgets.timers import timer
@@ -28,12 +28,12 @@ from reconstruction.lattice.search import Survey
 _CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen"
 _FULL, _FROZEN = "full range", "frozen contrast"
 _CONTRASTS = ("auto contrast", _FULL, _FROZEN)
-_COLOURS_TIP = "Colours of the camera image"
 _LEVELS_SLACK = 0.1  # of their span: smaller changes leave black and white alone, so that nothing flickers
 _MOST_COUNTS = 65535  # while the full scale is unknown
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
+    "+x: to the right; +y: down\n"
     "Wheel: zoom; drag: move; double click or 0: whole frame\n"
     "Click: inspect the lenslet; right click: exclude it, copy picture or displacements\n"
     "M: measure along a line; Shift+M: in an area"
@@ -57,7 +57,7 @@ Lenslet = tuple[int, int]  # row and column
 class CameraPanel(Panel):
     """Shows frames as the camera sees them: +x to the right, +y down."""
 
-    title, dock_area = "Camera", "left"
+    title, is_tab = "Camera", False
     lenslet_clicked = pyqtSignal(int, int)  # row and column
 
     def __init__(self, shown: DisplayState) -> None:
@@ -76,19 +76,16 @@ class CameraPanel(Panel):
 
         cells = "Show the lenslets' cells; lost lenslets are crossed out in red (G)"
         moved = "Show each lenslet's displacement, averaged over the field (A)"
-        self.lattice_toggle = Toggle("Lattice", cells, is_on=True, key="camera/lattice")
-        self.arrows_toggle = Toggle("Arrows", moved, is_on=True, key="camera/arrows")
-        self.lattice_toggle.toggled.connect(self._show_overlay)
-        self.arrows_toggle.toggled.connect(self._show_overlay)
+        self.lattice_toggle = checkable(self, "Lattice", cells, self._show_overlay, is_on=True, key="camera/lattice")
+        self.arrows_toggle = checkable(self, "Arrows", moved, self._show_overlay, is_on=True, key="camera/arrows")
+        colours = "False colours (inferno) in place of grey"
+        self.colours = checkable(self, "False colours", colours, self._draw, key="camera/colours")
         self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._adapt_contrast, key="camera/contrast")
-        self.colours = Choice(_COLOURS_TIP, ("grey", "inferno"), self._draw, key="camera/colours")
-
         self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
         self._make_picture()
-        self.caption = ElidedLabel("dim")
-        shown_parts = (self.lattice_toggle, self.arrows_toggle, self.contrast, self.colours)
-        self.header = row_of((label("Camera", "title"), 1), *shown_parts)
-        column(self.header, (self._graphics, 1), self.measuring, row((self.caption, 1), self.tool), parent=self)
+        self.caption = ElidedLabel("dim", lines=2)
+        self.header = row_of(self.tool, self.contrast, (QWidget(), 1))
+        column((self._graphics, 1), self.measuring, self.caption, spacing=2, parent=self)
         self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
         self.badge.hide()
         over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
@@ -102,11 +99,11 @@ class CameraPanel(Panel):
         self._graphics.setMinimumSize(220, 70)
         unfocused(self._graphics)
         self._image = CameraImage(self._view)
-        self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=110)
+        self._lines = Segments(self._view, theme.ACCENT_ON_IMAGE, alpha=150)
         self._boxes = Segments(self._view, theme.RED_ON_IMAGE, width=2)
         self._proposed_lines = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
         self._proposed_boxes = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # lenslets without light
-        self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, shadow=3)  # visible on black and on white
+        self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, width=2, shadow=4)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._pupil = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
         self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # around lenslets to exclude
@@ -132,6 +129,9 @@ class CameraPanel(Panel):
                 None,
             )
         }
+
+    def more_entries(self) -> MoreEntries:
+        return self.lattice_toggle, self.arrows_toggle, self.colours
 
     def catch_up(self) -> None:
         super().catch_up()
@@ -202,7 +202,8 @@ class CameraPanel(Panel):
             black, white = self.shown.levels or (0, self.full_scale or _MOST_COUNTS)
             found = self.shown.statistics
             clip_level = found.clip_level if found is not None and found.clipped_share else None
-            self._image.show_counts(self._frame.pixels, self.colours.currentText(), black, white, clip_level)
+            colours = "inferno" if self.colours.isChecked() else "grey"
+            self._image.show_counts(self._frame.pixels, colours, black, white, clip_level)
 
     def use_levels(self, black: float, white: float) -> None:
         self.contrast.setCurrentText(_FROZEN)
@@ -234,7 +235,7 @@ class CameraPanel(Panel):
         self._pupil.draw(camera_image.pupil_edges(self._lattice, self._sensor, self.shown.pupil))
         if self._frame is None:
             return
-        parts, colour = ["+x \N{RIGHTWARDS ARROW}  +y \N{DOWNWARDS ARROW}"], theme.DIM
+        parts, colour = list[str](), theme.DIM
         found = self.shown.statistics
         if found is not None and self.full_scale:
             brightness = f"peak {percent(found.peak / self.full_scale)} of full scale"

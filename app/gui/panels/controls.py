@@ -3,25 +3,27 @@
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QFrame, QHBoxLayout, QSizePolicy
+from PyQt6.QtCore import QEvent, QSize, pyqtSignal
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QGridLayout, QSizePolicy, QWidget
 
 from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import Validity
 from app.acquisition.instrument import Status
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
+from app.bench.settings_form import name_of
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
 from app.gui.widgets.fields import NumberField
-from app.gui.widgets.layouts import Item, column, row
+from app.gui.widgets.layouts import Scrolled, captioned, column, row, row_of
 from app.gui.widgets.presentation import percent
-from app.gui.widgets.texts import label, mark_wanted
+from app.gui.widgets.texts import ElidedLabel, mark_wanted
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range
+from reconstruction.settings import FIELD_MODES
 
-_GAP_PX, _GROUP_GAP_PX = 4, 8  # between controls, and between groups of them
+_GAP_PX = 4  # between controls
 _DIM = 0.3  # share of full scale below which noise matters
 _REFINE = "reconstruction.refine"
 
@@ -29,7 +31,7 @@ _REFINE = "reconstruction.refine"
 class ControlsPanel(Panel):
     """Emits the user's requests and shows the status of the instrument."""
 
-    title, dock_area = "Controls", "strip"
+    title, is_tab = "Controls", False
     requested = pyqtSignal(str, object)  # name of a routine, and its argument
     wanted = pyqtSignal(object, object)  # method that changes a device, or name of another setting, and the value
 
@@ -44,37 +46,40 @@ class ControlsPanel(Panel):
         self.choices["readout_speed"] = _choice(about, self._want(Commands.set_readout_speed))
         about = "Mask in front of the light; a new mask needs a new reference (R)"
         self.choices["mask"] = _choice(about, self._want("mask"))
-        amplifier, speed, mask = self.choices.values()
-        about = "Correct systematic errors by a simulation of your bench; the status line has the correction's age (F)"
+        about = "Correct systematic errors by a simulation of your bench; the verdict has the correction's age (F)"
         self.refine = Toggle("Refine", about, self._want(_REFINE))
-        calibration: list[Item] = [self.lattice]
-        for step in (self.auto_exposure, self.dark, self.reference):
-            calibration += [label("\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}", "dim"), step]
-        lines = (
-            row(
-                *(self.start, self.sensor_region),
-                (_named("Exposure", (self.exposure, 2)), 3),
-                (_named("Gain", (self.em_gain, 1), (amplifier, 1)), 4),
-                *(_named("Speed", speed), self.sample, (mask, 2)),
-                spacing=_GROUP_GAP_PX,
-            ),
-            row(*calibration, _named("Frames", self.frames), self.calibrate, self.refine, spacing=_GROUP_GAP_PX // 2),
-        )
-        rule = QFrame()
-        rule.setFixedWidth(1)
-        rule.setProperty("role", "rule")
-        parts = column((self.light, 1), self.current, spacing=5), rule, (column(*lines, spacing=5), 1)
-        row(*parts, spacing=_GROUP_GAP_PX, parent=self).setContentsMargins(8, 6, 8, 6)
-        self.setProperty("role", "strip")
-        self.setAttribute(Qt.WidgetAttribute.WA_StyledBackground)
+        self.method = ElidedLabel("dim", lines=2)
+        about = "Choose registration, warp and modes in the settings of the bench"
+        self.change = Button("Change", about, self._ask("method"))
+        self.change.setAccessibleName("Change the method")
+        self.region = ElidedLabel("dim")
+        lines = QGridLayout()
+        lines.setSpacing(_GAP_PX)
+        for at, control in enumerate(
+            (
+                *(self.light, captioned("Current (mA)", self.current)),
+                *(self.lattice, self.auto_exposure, self.dark, self.reference, self.calibrate, self.refine),
+                *(captioned("Exposure (ms)", self.exposure), captioned("Gain", self.em_gain)),
+                *(captioned("Mask", self.choices["mask"]), captioned("Frames in a mean", self.frames)),
+                *(captioned("Amplifier", self.choices["amplifier"]), captioned("Speed", self.choices["readout_speed"])),
+            )
+        ):
+            lines.addWidget(control, *divmod(at, 2))
+        for side in range(2):
+            lines.setColumnStretch(side, 1)
+        self.header = row_of(self.start, self.sample)
+        expert = row((self.region, 1), self.sensor_region), row((self.method, 1), self.change)
+        contents = QWidget()
+        column(lines, *expert, (QWidget(), 1), spacing=_GAP_PX, parent=contents)
+        column((Scrolled(contents), 1), parent=self)  # they are higher than a small screen
         self.setEnabled(False)
 
     def _make_devices(self) -> None:
         about = "Start or stop taking frames (Space)"
         self.start = Button("Start", about, lambda: self.wanted.emit(Commands.set_running, not self._is_running))
-        self.start.setMinimumWidth(self.start.sizeHint().width() + self.start.iconSize().width() + _GAP_PX)
         about = "Choose the sensor region and the binning (P)"
-        self.sensor_region = Button("Region\N{HORIZONTAL ELLIPSIS}", about, self._ask("sensor_region"))
+        self.sensor_region = Button("Change", about, self._ask("sensor_region"))
+        self.sensor_region.setAccessibleName("Change the sensor region")
         self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
         about = "Electron-multiplying gain: more signal above the read noise"
         self.em_gain = NumberField(name="Gain", decimals=1, tool_tip=about)
@@ -82,12 +87,9 @@ class ControlsPanel(Panel):
         self.exposure.entered.connect(self._want(Commands.set_exposure_s))
         self.em_gain.entered.connect(self._want(Commands.set_em_gain))
         self.current.entered.connect(self._want(Commands.set_current_a))
-        self.light = _LightButton("Light\noff", "Switch the light (L)", self._ask("light"))
+        self.light = _LightButton("Light off", "Switch the light (L)", self._ask("light"))
         self.light.setProperty("role", "light")
         self.light.setIconSize(QSize(20, 20))
-        self.light.setMinimumWidth(7 * self.fontMetrics().height())
-        self.light.ensurePolished()
-        self.light.setMinimumHeight(self.light.sizeHint().height())  # of two lines, so that nothing moves
         self.light.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Expanding)
         self.sample = Toggle(
             "Sample out", "Move the sample into or out of the beam (S)", self._want(Commands.set_sample_in)
@@ -136,18 +138,24 @@ class ControlsPanel(Panel):
             self.requested.emit(name, round(self.frames.value()))
 
     def show_switching_off(self) -> None:
-        self.light.setText("Switching\noff \N{HORIZONTAL ELLIPSIS}")
+        self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
 
     def show_unreached_light(self) -> None:
         """Show that nothing is known of the light, and nothing can switch it."""
-        self.light.setText("Light not\nreached")
+        self.light.setText("Light not reached")
         self.light.setIcon(theme.validity_lamp("doubtful"))
+
+    def changeEvent(self, event: QEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Let the buttons of the header follow the panel."""
+        if event is not None and event.type() == QEvent.Type.EnabledChange and self.header is not None:
+            self.header.setEnabled(self.isEnabled())
+        super().changeEvent(event)
 
     def enable_devices(self, *, is_enabled: bool) -> None:
         """Enable all, or only the refinement while a recording plays in place of the devices."""
         self._has_devices = is_enabled
         self.start.setVisible(is_enabled)
-        for control in self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox)):
+        for control in (self.sample, *self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox))):
             if control not in {self.refine, self.start}:
                 control.setEnabled(is_enabled)
 
@@ -159,6 +167,7 @@ class ControlsPanel(Panel):
         self.start.setText("Stop" if status.is_running else "Start")
         self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
         self._is_running = status.is_running
+        self.region.setText(f"Region: {status.capabilities.rows} x {status.capabilities.columns} px")
         self._show_fields(status)
         self._show_choices(status)
         self._show_switches(status)
@@ -192,15 +201,17 @@ class ControlsPanel(Panel):
         ):
             mark_wanted(choice, is_wanted=setting in wanted)
             choice.show_choice(values, wanted.get(setting, chosen))
+            if (around := choice.parentWidget()) is not None:
+                around.setVisible(len(values) > 1)  # there is nothing to choose
 
     def _show_switches(self, status: Status) -> None:
         wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
         self.refine.setChecked(wanted.get(_REFINE, refine))
         mark_wanted(self.refine, is_wanted=_REFINE in wanted)
         # Of a manual light only what a person has said is known.
-        lights = ("Light\nnoted off", "Light\nby hand") if status.bench.has_manual_light else ("Light off", "Light on")
+        lights = ("Light noted off", "Light by hand") if status.bench.has_manual_light else ("Light off", "Light on")
         if not self._has_devices:
-            lights = ("Light\nwas off", "Light\nwas on")
+            lights = ("Light was off", "Light was on")
         for shown, names, is_on, colour in (
             (self.light, lights, status.is_light_on, theme.LIT),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
@@ -210,6 +221,7 @@ class ControlsPanel(Panel):
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
 
     def show_numbers(self) -> None:
+        self.method.setText(self._method_in_words())
         statistics = self.shown.statistics
         if self.shown.measurement is None or statistics is None:
             return
@@ -217,6 +229,18 @@ class ControlsPanel(Panel):
         state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
         about = f"brightest pixel beside full scale; {percent(FILL)} is best"
         self.auto_exposure.show_step(state, percent(share), about)
+
+    def _method_in_words(self) -> str:
+        """Name the method, and warp and modes, also those that are chosen automatically."""
+        status, wavefront = self.shown.status, self.shown.wavefront
+        if status is None:
+            return ""
+        parts = [name_of(str(status.bench.registration.method))]
+        if wavefront is not None:
+            count, coefficients = wavefront.displacement.modes.count, wavefront.coefficients
+            parts += [name for name, modes in FIELD_MODES.items() if modes == count]
+            parts += [] if coefficients is None else [f"{len(coefficients)} modes"]
+        return f"Method: {', '.join(parts)}"
 
 
 class StepButton(Button):
@@ -257,10 +281,6 @@ class _LightButton(Toggle):
             super().click()
         elif self.isEnabledTo(self.parentWidget()):  # it is not disabled itself, as by a replay
             self.clicked.emit(False)
-
-
-def _named(name: str, *controls: Item) -> QHBoxLayout:
-    return row(label(name, "dim"), *controls, spacing=_GAP_PX)
 
 
 def _choice(tool_tip: str, chosen: Callable[[object], object]) -> Choice:

@@ -7,16 +7,15 @@ from functools import partial
 
 import numpy as np
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QFontMetrics
-from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLineEdit, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QGridLayout, QLineEdit, QMenu, QWidget
 
 from app.bench.settings_form import typed_number
-from app.gui.panels.panel import Check, DisplayState, Entries, Panel, Request, Verdict
+from app.gui.panels.panel import Check, DisplayState, Entries, MoreEntries, Panel, Request, Verdict
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Toggle, close_button
+from app.gui.widgets.buttons import Button, Choice, Toggle, checkable, close_button
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.file_work import FileWork
-from app.gui.widgets.layouts import Item, Scrolled, column, fill_dialog, row
+from app.gui.widgets.layouts import Scrolled, column, fill_dialog, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
@@ -24,18 +23,16 @@ from app.results.history import DELAY, FILL, RMS, TEMPERATURE, UNITS, History, L
 from app.results.shown_wavefront import Unit
 from reconstruction.arrays import Floats
 
-_HINT = "click a bar of Coefficients to add it"
 _ABOUT = {
     RMS: "Mean RMS of the shown views",
     FILL: "Brightest pixel",
     DELAY: "Processing delay",
     TEMPERATURE: "Temperature of the camera's sensor",
 }
-_NAME = "000.0 % of full scale"  # its width is that of all names and values
 _INTERVAL_S = 0.18  # every fifth time that the analyses are polled: five samples a second
 _NEAR = 1.0  # ranges of the curve: a limit that is nearer to it is shown
 _TICK_LINES = 1.1  # height between two numbers of an axis
-_DRIFT = "mean \N{MINUS SIGN}0.0000  \N{GREEK SMALL LETTER SIGMA} 0.0000"  # the width of the statistics
+_PAUSE_S = 2.0  # between two samples: no line joins them
 _PINNED = "Pinned coefficient"
 _ENDS = "lowest", "highest"  # limits of a series
 _ABOUT_LIMITS = (
@@ -45,23 +42,24 @@ _ABOUT_LIMITS = (
 
 
 class StripChart(QWidget):
-    """Name and newest value of a series, its curve beside them, and its statistics."""
+    """Name, newest value and statistics of a series, and its curve below them."""
 
     def __init__(self, name: str) -> None:
         super().__init__()
-        self.name, self.value = ElidedLabel(text=name, lines=2), ElidedLabel("title")
-        self.name.setToolTip(_ABOUT.get(name, name))
+        self.value, self.drift = label("", "title"), ElidedLabel("dim")
+        named = label(name)
+        named.setToolTip(_ABOUT.get(name, name))
         self.plot = _plot(None)
         self.plot.graphics.setMinimumHeight(2 * self.fontMetrics().height() + 9)
         self.curve = self.plot.add_curve(theme.ACCENT, 1)
         self.limit_lines = [self.plot.add_line(theme.RED, 0) for _ in range(2)]
-        self.drift = [ElidedLabel("dim") for _ in range(2)]
-        row(_wide_as(_NAME, self.name, self.value), (self.plot, 1), _wide_as(_DRIFT, *self.drift), parent=self)
+        column(row(named, self.value, (self.drift, 1), spacing=10), (self.plot, 1), spacing=0, parent=self)
 
     def show_series(self, time_min: Floats, values: Floats, span_min: float, unit: str, limits: SeriesLimits) -> None:
-        """Show values (time,) over the minutes before now, NaN in gaps, and crossed or near limits."""
+        """Show values (time,) over the minutes before now, with gaps at NaN and pauses, and crossed or near limits."""
         known = np.isfinite(values)
-        self.curve.setData(time_min, values, connect="finite")
+        is_joined = np.append(np.diff(time_min[known]) * 60 < _PAUSE_S, False)
+        self.curve.setData(time_min[known], values[known], connect=is_joined.astype(np.int32))
         low, high = (float(values[known].min()), float(values[known].max())) if known.any() else (0.0, 1.0)
         near_low, near_high = low - _NEAR * (high - low), high + _NEAR * (high - low)
         ends = (limits.lowest, limits.lowest >= near_low), (limits.highest, limits.highest <= near_high)
@@ -72,7 +70,7 @@ class StripChart(QWidget):
                 low, high = min(low, limit), max(high, limit)
         margin = max(0.2 * (high - low), 1e-3 * abs(high), 1e-6)
         self.plot.set_ranges((-span_min, 0), (low - margin, high + margin))
-        ticks = [(float(end), number(float(end))) for end in (low, high)] if known.any() else []
+        ticks = _ticks(low, high) if known.any() else []
         apart_px = self.plot.graphics.height() * (high - low) / (high - low + 2 * margin)
         has_room = apart_px > _TICK_LINES * self.fontMetrics().height()
         self.plot.axes["left"].setTicks([ticks[: 1 + has_room]])
@@ -82,10 +80,8 @@ class StripChart(QWidget):
 
     def show_drift(self, values: Floats, samples: int) -> None:
         mean, sigma, peak_to_peak = drift(values[-samples:])
-        self.drift[0].setText(f"mean {number(mean, 4)}  \N{GREEK SMALL LETTER SIGMA} {number(sigma, 2)}")
-        self.drift[1].setText(f"peak to peak {number(peak_to_peak, 2)}")
-        for each in self.drift:
-            each.setToolTip(f"Mean, standard deviation and peak to peak of the last {samples} samples")
+        spread = f"\N{GREEK SMALL LETTER SIGMA} {number(sigma, 2)}, peak to peak {number(peak_to_peak, 2)}"
+        self.drift.setText(f"mean {number(mean, 4)}, {spread}")
 
 
 class HistoryPanel(Panel):
@@ -107,14 +103,16 @@ class HistoryPanel(Panel):
 
     def _make_choices(self) -> None:
         self.toggles = {
-            name: Toggle(name, about, is_on=name == RMS, key=f"history/chart {index}")
+            name: checkable(self, name, about, self._arrange, is_on=name == RMS, key=f"history/chart {index}")
             for index, (name, about) in enumerate(_ABOUT.items())
         }
-        for chosen in self.toggles.values():
-            chosen.toggled.connect(self._arrange)
+        self.series = Button("Series", "Choose what is charted; a click on a bar of Coefficients adds it")
+        menu = QMenu(self)
+        menu.addActions(list(self.toggles.values()))
+        self.series.setMenu(menu)
         minutes = [(f"{minutes} min", minutes) for minutes in (1, 2, 5, 10, 20)]
         self.minutes = Choice("Time shown", minutes, key="history/minutes")
-        samples = [(f"last {samples} samples", samples) for samples in (20, 100, 500, 2000)]
+        samples = [(f"{samples} samples", samples) for samples in (20, 100, 500, 2000)]
         about = "Number of samples of mean, \N{GREEK SMALL LETTER SIGMA} and peak to peak; five a second"
         self.samples = Choice(about, samples, key="history/samples")
         for choice in (self.minutes, self.samples):
@@ -122,13 +120,8 @@ class HistoryPanel(Panel):
             choice.currentIndexChanged.connect(self.refresh)
 
     def _lay_out(self) -> None:
-        self.limits = Button(
-            "Limits",
-            "Set limits of RMS and the pinned coefficient: a crossing is reported, and red here",
-            self.form.show,
-        )
-        self.export = Button("Export", "Save all series as CSV", self.export_csv)
-        self._hint = ElidedLabel("dim", _HINT)
+        about = "Set limits of RMS and the pinned coefficient: a crossing is reported, and red here"
+        self.limits = Button("Limits", about, self.form.show)
         self.charts: dict[str, StripChart] = {}
         charts = QWidget()
         self._rows = column(spacing=0, parent=charts)
@@ -137,10 +130,11 @@ class HistoryPanel(Panel):
         self.time_axis = _plot("minutes")
         self.time_axis.axes["left"].setTicks([[]])
         self.time_axis.graphics.setFixedHeight(2 * self.fontMetrics().height() + 16)
-        header = row(*self.toggles.values(), (self._hint, 1), self.minutes)
-        buttons = row(self.export, self.limits, (QWidget(), 1))
-        axis = row(_wide_as(_NAME, (buttons, 1)), (self.time_axis, 1), _wide_as(_DRIFT, self.samples))
-        column(header, (area, 1), axis, spacing=2, parent=self)
+        header = row(self.series, self.limits, (QWidget(), 1), self.samples, self.minutes)
+        column(header, (area, 1), self.time_axis, spacing=2, parent=self)
+
+    def more_entries(self) -> MoreEntries:
+        return (("Save all series as CSV", self.export_csv),)
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -224,7 +218,6 @@ class HistoryPanel(Panel):
             self.history.forget(self._pinned)
         self._pinned = name
         self.form.use_pinned(name)
-        self._hint.setText("" if name else _HINT)
         self._arrange()
 
     def add(self, time_s: float, values: dict[str, float]) -> None:
@@ -267,14 +260,10 @@ class HistoryPanel(Panel):
         self.refresh()
 
 
-def _wide_as(text: str, *items: Item) -> QWidget:
-    """Make a widget of items from top to bottom that is as wide as a text."""
-    made = QWidget()
-    column(*items, spacing=0, parent=made).addStretch()
-    bold = made.font()
-    bold.setWeight(bold.Weight.DemiBold)  # as values are
-    made.setFixedWidth(QFontMetrics(bold).horizontalAdvance(text))
-    return made
+def _ticks(low: float, high: float) -> list[tuple[float, str]]:
+    """Return both ends of an axis with as many digits as tell them apart."""
+    digits = next((count for count in range(3, 8) if number(low, count) != number(high, count)), 8)
+    return [(end, number(end, digits)) for end in (low, high)]
 
 
 def _plot(bottom: str | None) -> Plot:
@@ -287,9 +276,10 @@ def _plot(bottom: str | None) -> Plot:
 class LimitLine(QLineEdit):
     """A phase with its unit; empty if there is no limit, red if it is no number."""
 
-    def __init__(self, shown: DisplayState, key: str) -> None:
+    def __init__(self, shown: DisplayState, key: str, name: str) -> None:
         super().__init__()
         self.setObjectName(key)  # under which its text is kept between two starts
+        self.setAccessibleName(name)
         self.setMinimumWidth(110)  # px
         self._shown = shown
         self.editingFinished.connect(lambda: self.setText(self.with_unit()))
@@ -330,7 +320,10 @@ class LimitsForm(QDialog):
             grid.addWidget(label(text, "dim"), 0, at)
         for at, (name, shown_name) in enumerate(((RMS, label(RMS)), ("", self._pinned_label)), 1):
             grid.addWidget(shown_name, at, 0)
-            lowest, highest = (LimitLine(shown, f"history/{end} {name}" if name else "") for end in _ENDS)
+            keys = (f"history/{end} {name}" if name else "" for end in _ENDS)
+            lowest, highest = (
+                LimitLine(shown, key, f"{name or _PINNED}, {end}") for key, end in zip(keys, _ENDS, strict=True)
+            )
             self.lines[name], self._in_force[name] = (lowest, highest), ("", "")
             for side, line in enumerate((lowest, highest), 1):
                 line.textChanged.connect(lambda _, name=name: self._change(name))

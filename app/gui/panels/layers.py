@@ -46,7 +46,7 @@ class LayersPanel(Panel):
         self._ratio = 0.0  # of the layer found last, or of the known one
         self._scale = AdaptiveScale()
         about = "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live"
-        modes = (("find one layer", 1), ("find two layers", 2), ("layer known at", 0))
+        modes = (("find one layer", 1), ("find two layers", 2), ("layer known at (mm)", 0))
         self.mode = Choice(about, modes, self._change_mode)
         about, name = "Distance of the known layer", "Distance of the layer"
         self.distance = NumberField(tool_tip=about, name=name, unit="mm", decimals=1)

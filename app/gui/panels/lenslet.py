@@ -60,7 +60,7 @@ class LensletPanel(Panel):
         self._state = ""  # of the lenslet
         self._badge = ""  # as shown
         self.name = ElidedLabel("title")
-        self.numbers, self.quality = ElidedLabel(), ElidedLabel()
+        self.numbers, self.quality = ElidedLabel(lines=2), ElidedLabel(lines=2)
         images = _Images()
         self.tiles = images.tiles
         about = "Leave this lenslet out of the wavefront, or use it again; noted in the bench and in recordings"

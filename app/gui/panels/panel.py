@@ -2,10 +2,10 @@
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 from PyQt6.QtCore import QObject, pyqtSignal
-from PyQt6.QtGui import QShowEvent
+from PyQt6.QtGui import QAction, QShowEvent
 from PyQt6.QtWidgets import QAbstractButton, QMenu, QTableWidget, QWidget
 
 from app.acquisition.instrument import Status
@@ -19,8 +19,9 @@ from app.results.shown_wavefront import Unit
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
 
-Act = Callable[[], object] | QAbstractButton | QMenu  # a button lends its entry tick and greying
+Act = Callable[[], object] | QAbstractButton | QAction | QMenu  # a button lends its entry tick and greying
 Entries = tuple[tuple[str, str, Act] | None, ...]  # text, key and action, or a separator
+MoreEntries = tuple[QAction | tuple[str, Callable[[], object]], ...]  # of a panel's own menu
 Check = Callable[[], None]  # raises when the window closes
 SLOWER_S = 0.36  # interval of what takes some milliseconds: three times a second
 
@@ -60,6 +61,7 @@ class DisplayState(QObject):
         self.options = ""  # of the display, in words
         self.pupil: Pupil | None = None  # of the display
         self.replayed: tuple[str, float] | None = None  # name and time, s, of the shown frame of a recording
+        self.sigma_rad: float | None = None  # mean error of the shown wavefronts, RMS
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()
@@ -99,7 +101,7 @@ class Panel(QWidget):
     """A dockable panel, which overrides what it needs of these methods; `app.gui.shell.docks` lists all."""
 
     title: ClassVar[str]
-    dock_area: ClassVar[Literal["left", "right", "tab", "strip"]] = "tab"  # of the default layout
+    is_tab: ClassVar[bool] = True  # in the default layout
 
     warned = pyqtSignal(str)  # why something was not done
     informed = pyqtSignal(str)  # what was done
@@ -126,6 +128,10 @@ class Panel(QWidget):
     def menu_entries(self) -> Mapping[str, Entries]:
         """Return entries by the title of their menu."""
         return {}
+
+    def more_entries(self) -> MoreEntries:
+        """Return the first entries of the panel's own menu."""
+        return ()
 
     def show_status(self, status: Status) -> None:
         """Show a changed state of the instrument."""

@@ -1,5 +1,6 @@
 """The wavefront panel: the chosen quantity at every view of the field, and its display options."""
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from datetime import datetime
@@ -8,17 +9,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import Qt, pyqtSignal
+from numpy.typing import NDArray
+from PyQt6.QtCore import QRect, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup, QMouseEvent
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
 
 from app.files import check_outputs
-from app.gui.panels.panel import SLOWER_S, DisplayState, Entries, Panel, Request
+from app.gui.panels.panel import SLOWER_S, DisplayState, Entries, MoreEntries, Panel, Request
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Toggle
+from app.gui.widgets.buttons import Button, Choice, checkable
 from app.gui.widgets.copies import ask_file, write_picture
 from app.gui.widgets.enlarged_view import EnlargedView
-from app.gui.widgets.fields import BUTTONS_WIDTH_PX, NumberField
+from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import column, row_of
 from app.gui.widgets.presentation import PRESENTATIONS, AdaptiveScale, ColourScale, number, position_texts
@@ -43,13 +45,15 @@ from reconstruction.geometry import Field
 from reconstruction.quality.image_quality import aligned
 from reconstruction.wavefront import Wavefront
 
+_FIXED = " fixed"  # in the title of a colour bar
+_UNSURE = 0.1  # error over the value of a view: more is hatched
 _AVERAGES = (1, 2, 5, 10, 20, 50, MOST_AVERAGED)
 
 
 class WavefrontPanel(Panel):
     """Shows the chosen quantity, or that there is no wavefront."""
 
-    title, dock_area = "Wavefronts", "right"
+    title, is_tab = "Wavefronts", False
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
@@ -67,12 +71,8 @@ class WavefrontPanel(Panel):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
         self._summary = ElidedLabel()
-        self.freeze_scale = Toggle("Freeze", "Freeze the colour scale (H)")
-        self.freeze_scale.toggled.connect(self._show_limit)
-        self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Limit of the frozen colour scale")
-        self.limit.entered.connect(self._fix_limit)
-        self.limit.setFixedWidth(self.limit.fontMetrics().horizontalAdvance("0000.000 waves") + BUTTONS_WIDTH_PX)
-        self.limit.hide()
+        about = "Keep the colour scale (H); a click on the bar types its limit"
+        self.fix_scale = checkable(self, "Fix scale", about, self._show_fixed)
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
         self.menu.store.triggered.connect(self._store)
@@ -84,11 +84,14 @@ class WavefrontPanel(Panel):
         self.grid = ViewGrid()
         self.grid.selected.connect(shown.choose_view)
         self.grid.opened.connect(self.enlarge)
-        self.stale = ElidedLabel(lines=2)  # always there, so that the maps stay where they are
-        colour_text(self.stale, theme.AMBER)
-        scale = (self.display_button, self.freeze_scale, self.limit)
-        self.header = row_of(self.choice, (self._summary, 1), *scale)
-        column(self.header, self.stale, (self.grid, 1), parent=self)
+        self.limit = NumberField(name="Limit of the colours", decimals=3, tool_tip="Return fixes the colours to it")
+        self.limit.setParent(self.grid)
+        self.limit.hide()
+        self.limit.entered.connect(self._fix_limit)
+        self.limit.editingFinished.connect(self.limit.hide)
+        self.grid.bar_clicked.connect(self._edit_limit)
+        self.header = row_of(self.choice, (self._summary, 1), self.display_button)
+        column((self.grid, 1), parent=self)
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -97,11 +100,14 @@ class WavefrontPanel(Panel):
                     (f"{quantity} over the field", str(index + 1), partial(self.choice.setCurrentText, quantity))
                     for index, quantity in enumerate(Quantity)
                 ),
-                ("Freeze the colour scale", "H", self.freeze_scale),
+                ("Fix scale", "H", self.fix_scale),
                 ("Enlarge the selected view", "V", self.enlarge),
             ),
             "&File": (("Export the shown wavefronts", "Ctrl+E", self.export),),
         }
+
+    def more_entries(self) -> MoreEntries:
+        return (self.fix_scale,)
 
     @property
     def quantity(self) -> Quantity:
@@ -145,7 +151,7 @@ class WavefrontPanel(Panel):
         wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.reconstruction
         if wavefront is not None and quantity is Quantity.WAVEFRONT:
             options = self.menu.options
-            single = self._newest if options.averaged == 1 and options.stored is None else None
+            single = wavefront if options.averaged == 1 and options.stored is None else None
             return Request(wavefront, (quantity, options), lambda _: view_numbers(quantity, wavefront.views, single))
         if wavefront is None or settings is None:
             return None
@@ -167,24 +173,29 @@ class WavefrontPanel(Panel):
 
     def show_numbers(self) -> None:
         badge, reason, _ = self.shown.data_freshness
-        self.stale.setText(f"{badge}: {reason}" if badge else "")
+        colour_text(self._summary, theme.AMBER if badge else theme.TEXT)
+        parts = [f"{badge}: {reason}"] * bool(badge)
         numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
-            self._summary.setText("")
+            self._summary.setText("".join(parts))
             self.grid.set_captions({})
+            self.shown.sigma_rad = None
             return
         presentation, field, factor = PRESENTATIONS[quantity], wavefront.field, self._factor
+        errors = numbers.error_rad
+        self.shown.sigma_rad = None if errors is None else float(np.nanmean(errors))
         if numbers.first.shape == (field.view_rows, field.view_columns):
             captions: dict[tuple[int, int], Caption] = {}
             for at, where in _positions(field).items():
                 first, second = (factor * float(each[at]) for each in (numbers.first, numbers.second))
-                captions[at] = presentation.caption(first, second), where
+                error = math.nan if errors is None else factor * float(errors[at])
+                captions[at] = presentation.caption(first, second, error, self.shown.unit), where
             self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
         if numbers.noise_rad is not None:  # it cannot be told from a flat one
             summary = f"mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
-        self._summary.setText("; ".join(filter(None, (summary, self.menu.options.in_words, reach))))
+        self._summary.setText("; ".join(filter(None, (*parts, summary, self.menu.options.in_words, reach))))
         if self._enlarged is not None:
             self._enlarged.refresh()
 
@@ -222,15 +233,27 @@ class WavefrontPanel(Panel):
         """Factor of values in rad, or 1 for ratios."""
         return self.shown.per_rad if PRESENTATIONS[self.quantity].has_unit else 1.0
 
+    def _titled(self, scale: ColourScale) -> ColourScale:
+        """Say above the bar whether the scale is fixed."""
+        return replace(scale, title=scale.title.removesuffix(_FIXED) + _FIXED * self.fix_scale.isChecked())
+
+    def _show_fixed(self) -> None:
+        if (maps := self.grid.maps) is not None:
+            self.grid.show_maps(replace(maps, scale=self._titled(maps.scale)))
+
     def _fix_limit(self, limit: float) -> None:
+        self.limit.hide()
         self._scale.use(limit)
+        self.fix_scale.setChecked(True)
         self._redraw()
 
-    def _show_limit(self) -> None:
-        """Show the limit of a frozen colour scale, to be changed."""
-        self.limit.setVisible(self.freeze_scale.isChecked())
-        self.limit.use_unit(str(self.shown.unit) if PRESENTATIONS[self.quantity].has_unit else "")
+    def _edit_limit(self, bar: QRect) -> None:
+        """Type the limit of the colour scale over its highest number."""
         self.limit.show_value(self._scale.value, Range(1e-3, 1e5))
+        size = self.limit.sizeHint()
+        self.limit.setGeometry(self.grid.width() - size.width(), bar.top(), size.width(), size.height())
+        self.limit.show()
+        self.limit.edit()
 
     def _store(self) -> None:
         if self._newest is not None:
@@ -265,7 +288,6 @@ class WavefrontPanel(Panel):
             self._show_maps(None)  # until the analysis has it
         self.show_wavefront(self._newest)
         self.show_numbers()
-        self._show_limit()
 
     def _show(self, found: QuantityMaps) -> None:
         """Show maps over the lenslets, or those of a PSF over angles."""
@@ -275,7 +297,7 @@ class WavefrontPanel(Panel):
 
         def scale_of(values: Floats) -> ColourScale:
             self._follow(self._scale, max(presentation.limit(values), presentation.finest * self._factor))
-            return presentation.scale(self._scale.value, unit)
+            return self._titled(presentation.scale(self._scale.value, unit))
 
         if self.quantity is Quantity.PSF:
             values, reach_mrad = found.values * self._factor, found.reach_rad * 1e3
@@ -297,10 +319,18 @@ class WavefrontPanel(Panel):
                 return f"Lenslet row {row}, column {column}: {text}"
 
             measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            self._show_maps(Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm"))
+            reach, unsure = (x_mm, y_mm), self._unsure(values.shape)
+            self._show_maps(Maps(measured, scale_of(values), at_lenslet, reach=reach, reach_unit="mm", unsure=unsure))
+
+    def _unsure(self, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
+        """Return where the error exceeds a tenth of the value of a view, of a shape; None if it is not known."""
+        numbers = self._numbers
+        if numbers is None or numbers.sigma_rad is None or numbers.sigma_rad.shape != shape:
+            return None
+        return np.asarray(numbers.sigma_rad > _UNSURE * numbers.first[..., None, None])
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
-        if not (self.freeze_scale.isChecked() and scale.is_set):
+        if not (self.fix_scale.isChecked() and scale.is_set):
             scale.follow(needed)
 
     def _show_maps(self, maps: Maps | None) -> None:

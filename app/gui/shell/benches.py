@@ -61,6 +61,7 @@ class Benches(QObject):
         self.dialog = BenchDialog(window)
         self.settings_dialog = SettingsDialog(self._use, self.open, window)
         self.error: InputError | None = None  # of the last attempt to open a bench
+        self.name = ""  # of the open bench: its preset or its file
 
     def open(self, source: str, overrides: tuple[str, ...] = (), *, is_trusted: bool = False) -> None:
         """Open a bench file or a preset, changed by `overrides`; `is_trusted` confirms its libraries."""
@@ -86,6 +87,7 @@ class Benches(QObject):
             self.error = None
             if source and source not in PRESETS:
                 self._remember(Path(source))
+            self.name = Path(source).stem.replace("_", " ") if source else "unsaved bench"
             self._connect(bench)
 
         self._reading.forget()
@@ -115,10 +117,10 @@ class Benches(QObject):
         if self._saved is not None:
             self._saved.setValue(_LAST, str(path.absolute()))
 
-    def edit(self) -> None:
-        """Edit the settings of the open bench, with lattice, exposure and current in force."""
+    def edit(self, section: str = "sensor") -> None:
+        """Edit the settings of the open bench, from a section on, with lattice, exposure and current in force."""
         status = self._controller.status
-        self.settings_dialog.edit(load_bench(DEFAULT) if status is None else status.bench_in_force)
+        self.settings_dialog.edit(load_bench(DEFAULT) if status is None else status.bench_in_force, section)
 
     def make(self) -> None:
         self.settings_dialog.make(replace(load_bench(DEFAULT), lattice=None))
@@ -145,6 +147,7 @@ class Benches(QObject):
             return
 
         def show(_: None) -> None:
+            self.name = path.stem
             self._messages.inform(f"saved {path}")
             self._remember(path)
 

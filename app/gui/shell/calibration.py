@@ -58,8 +58,8 @@ class CalibrationGuide(QDialog):
             grid.addWidget(label(f"{step.explanation}.", "dim", is_wrapped=True), 3 * index + 1, 1)
             grid.addWidget(result, 3 * index + 2, 1)
         self.question = label("", is_wrapped=True)
-        self.yes = Button("", "Return", lambda _: self._answers[True]())
-        self.no = Button("", "Esc", lambda _: self._answers[False]())
+        self.yes = Button("Yes", "Return", lambda _: self._answers[True]())
+        self.no = Button("No", "Esc", lambda _: self._answers[False]())
         about = "Measure the camera's nonlinearity without the sample, in some minutes"
         self.linearity = Button("5 Nonlinearity", about, self.measure_linearity)
         answers = row((self.question, 1), self.linearity, self.yes, self.no)

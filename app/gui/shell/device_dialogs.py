@@ -57,7 +57,7 @@ class SensorRegionDialog(QDialog):
         close = close_button(self, "Change nothing (Esc)")
         form = QFormLayout()
         for name, field in zip((*_SIDES, "Binning"), (*self._sides, self.binning), strict=True):
-            form.addRow(label(name, "dim"), field)
+            form.addRow(label(f"{name} (px)", "dim"), field)
         fills, ends = row((self.whole, 1), (self.around, 1)), row((self.apply, 1), (close, 1))
         fill_dialog(self, self.limits, form, fills, self.in_force, ends)
 

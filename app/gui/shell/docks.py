@@ -1,8 +1,9 @@
 """All panels of the window, a new one needs its line here; their default layout, and what a user may change in it."""
 
+from functools import partial
 from typing import NamedTuple, get_type_hints
 
-from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtCore import QByteArray, QSize, Qt
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.camera import CameraPanel
@@ -13,17 +14,19 @@ from app.gui.panels.histogram import HistogramPanel
 from app.gui.panels.history import HistoryPanel
 from app.gui.panels.layers import LayersPanel
 from app.gui.panels.lenslet import LensletPanel
-from app.gui.panels.panel import DisplayState, Panel
+from app.gui.panels.panel import DisplayState, MoreEntries, Panel
 from app.gui.panels.quality import QualityPanel
 from app.gui.panels.wavefronts import WavefrontPanel
-from app.gui.widgets.buttons import Slot
+from app.gui.shell.menus import listing_menu
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.copies import copy_picture, save_numbers
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import label
 from app.gui.widgets.timers import timer
 
 _OPTIONS = QMainWindow.DockOption
 _MARGIN_PX = 8  # between the contents of a panel and its edge
-_BUTTON_PX = 18
+_AROUND_PX, _CONTROLS_PX = 70, 300  # height of all else than the maps, without the width of their scale; width
 _LOW_PX = 600  # on lower screens the camera is one of the tabs
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
@@ -32,6 +35,7 @@ class Panels(NamedTuple):
     """The panels in the order of tabs and menus."""
 
     camera: CameraPanel
+    controls: ControlsPanel
     wavefronts: WavefrontPanel
     quality: QualityPanel
     coefficients: CoefficientsPanel
@@ -40,7 +44,6 @@ class Panels(NamedTuple):
     lenslet: LensletPanel
     layers: LayersPanel
     corrector: CorrectorPanel
-    controls: ControlsPanel
 
 
 def make_panels(shown: DisplayState) -> Panels:
@@ -57,17 +60,21 @@ class Dock(QDockWidget):
     """A panel that can be moved, floated and closed; a header moves it, among tabs the tab."""
 
     def __init__(self, panel: Panel) -> None:
-        """Put a panel below its header, or its title; the handle of a strip stands at its left."""
+        """Put a panel below its header, or its title, with its menu at the top right."""
         super().__init__(panel.title)
         self.setObjectName(panel.title)  # its key in a saved state
-        self.panel, is_strip = panel, panel.dock_area == "strip"
-        body = QWidget()
-        column(panel, parent=body).setContentsMargins(*(0, 0, 0, 0) if is_strip else (_MARGIN_PX, 2, _MARGIN_PX, 4))
-        if is_strip:
-            self.setFeatures(self.features() | self.DockWidgetFeature.DockWidgetVerticalTitleBar)
-            body.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Fixed)
+        self.panel = panel
+        self.more = Button("\N{HORIZONTAL ELLIPSIS}", f"More about {panel.title}: save, copy, float, close")
+        self.more.setProperty("role", "more")
+        self.more.setAccessibleName(f"More about {panel.title}")
+        self.more.setMenu(listing_menu(self, self._entries))
+        body, header = QWidget(), (panel.header or label(panel.title, "title"), 1)
+        beside = (column(self.more, (QWidget(), 1)),) if panel.is_tab else ()
+        row((panel, 1), *beside, spacing=2, parent=body).setContentsMargins(_MARGIN_PX, 2, 2 * bool(beside), 4)
         self.setWidget(body)
-        self.bar = _TitleBar(self, panel.header or label("" if is_strip else panel.title, "title"), is_strip=is_strip)
+        self.bar = _TitleBar(self)
+        shown = (header,) if panel.is_tab else (header, self.more)
+        row(*shown, spacing=2, parent=self.bar).setContentsMargins(_MARGIN_PX, 4, 2, 0)
         self.setTitleBarWidget(self.bar)
         policy = panel.sizePolicy()
         policy.setRetainSizeWhenHidden(True)
@@ -78,22 +85,20 @@ class Dock(QDockWidget):
         # From behind a tab it floats without that signal.
         self.topLevelChanged.connect(lambda floats: panel.setVisible(floats or panel.isVisible()))
 
+    def _entries(self) -> MoreEntries:
+        return (
+            *self.panel.more_entries(),
+            ("Save the numbers as CSV", lambda: save_numbers(self.panel, self.panel.table())),
+            ("Copy the picture", partial(copy_picture, self.panel)),
+            ("Float as a window, or dock again", lambda: self.setFloating(not self.isFloating())),
+            ("Close (View > Panels opens it)", self.close),
+        )
+
 
 class _TitleBar(QWidget):
-    """A header with two buttons: float and close."""
+    """A header, which takes no room while it is compact."""
 
-    def __init__(self, dock: Dock, header: QWidget, *, is_strip: bool) -> None:
-        super().__init__(dock)
-        self._is_compact = False
-        floating = "Float as a window, or dock again"
-        buttons = (
-            _tool_button("\N{NORTH EAST ARROW}", floating, lambda: dock.setFloating(not dock.isFloating())),
-            _tool_button("\N{MULTIPLICATION SIGN}", "Close; View > Panels opens it again", dock.close),
-        )
-        if is_strip:
-            column(*buttons, spacing=0, parent=self).addStretch()
-        else:
-            row((header, 1), *buttons, spacing=2, parent=self).setContentsMargins(_MARGIN_PX, 4, 0, 4)
+    _is_compact = False
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         return QSize(0, 0) if self._is_compact else super().sizeHint()
@@ -108,6 +113,15 @@ class _TitleBar(QWidget):
             self.updateGeometry()
 
 
+def restore_docks(window: QMainWindow, state: QByteArray, version: int = 0) -> bool:
+    """Restore a state of the docks if it fits; Qt would leave the tab bars of the state before where they were."""
+    before = window.findChildren(QTabBar, options=Qt.FindChildOption.FindDirectChildrenOnly)
+    is_restored = window.restoreState(state, version)
+    for bar in before if is_restored else ():
+        bar.hide()
+    return is_restored
+
+
 class PanelDocks:
     """The docks of a window."""
 
@@ -115,7 +129,8 @@ class PanelDocks:
         """Dock all panels in the default layout, with the `bar` above the controls."""
         self._window = window
         self.docks = tuple(map(Dock, panels))
-        self._tabs = [dock for dock in self.docks if dock.panel.dock_area == "tab"]
+        self._tabs = [dock for dock in self.docks if dock.panel.is_tab]
+        self._fixed = [dock for dock in self.docks if not dock.panel.is_tab]
         self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
@@ -128,31 +143,33 @@ class PanelDocks:
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
                 changed.connect(lambda *_: self.settle.start())
-        left = self._at("left")
-        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, left)
-        window.splitDockWidget(left, self._at("right"), Qt.Orientation.Horizontal)
-        window.splitDockWidget(left, self._tabs[0], Qt.Orientation.Vertical)
+        camera, controls, wavefronts = self._fixed
+        window.addDockWidget(Qt.DockWidgetArea.TopDockWidgetArea, camera)
+        window.splitDockWidget(camera, wavefronts, Qt.Orientation.Horizontal)
+        window.splitDockWidget(camera, self._tabs[0], Qt.Orientation.Vertical)
+        window.splitDockWidget(camera, controls, Qt.Orientation.Horizontal)
         for before, dock in zip(self._tabs, self._tabs[1:], strict=False):
             window.tabifyDockWidget(before, dock)
-        window.addDockWidget(Qt.DockWidgetArea.BottomDockWidgetArea, self._at("strip"))
         self._default = window.saveState()
         self.restore_default()
 
-    def _at(self, dock_area: str) -> Dock:
-        return next(dock for dock in self.docks if dock.panel.dock_area == dock_area)
-
     def restore_default(self) -> None:
-        """Camera above the tabs, or among them on a low screen; wavefronts beside them, controls below; all open."""
-        window, left, first = self._window, self._at("left"), self._tabs[0]
-        window.restoreState(self._default)
+        """Camera and controls above the tabs, wavefronts beside them; on a low screen the camera is one of the tabs."""
+        window, first, (camera, controls, wavefronts) = self._window, self._tabs[0], self._fixed
+        restore_docks(window, self._default)
         first.raise_()
         screen = window.screen()
         if screen is not None and screen.availableGeometry().height() < _LOW_PX:
             for dock in self._tabs:
-                window.tabifyDockWidget(left, dock)
-            left.raise_()
-        window.resizeDocks([left, self._at("right")], [1000, 1000], Qt.Orientation.Horizontal)
-        window.resizeDocks([left, first], [1000, 600], Qt.Orientation.Vertical)
+                window.tabifyDockWidget(camera, dock)
+            camera.raise_()
+        left = max(window.width() - window.height() + _AROUND_PX, window.width() // 2)  # the wavefronts are a square
+        window.resizeDocks([first, wavefronts], [left, window.width() - left], Qt.Orientation.Horizontal)
+        window.resizeDocks([camera, controls], [max(left - _CONTROLS_PX, 1), _CONTROLS_PX], Qt.Orientation.Horizontal)
+        upper = controls.sizeHint().height() + 2 * window.fontMetrics().height()
+        window.resizeDocks(
+            [camera, first], [upper, max(window.height() - _AROUND_PX - upper, 1)], Qt.Orientation.Vertical
+        )
         self._arrange()
 
     def toggle_tabs(self) -> None:
@@ -190,14 +207,3 @@ class PanelDocks:
             bar.setToolTip("Drag a tab out to move or to float its panel")
             for arrow in bar.findChildren(QToolButton):
                 arrow.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-
-
-def _tool_button(text: str, tool_tip: str, clicked: Slot) -> QToolButton:
-    made = QToolButton()
-    made.setText(text)
-    made.setToolTip(tool_tip)
-    made.setAutoRaise(True)
-    made.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-    made.setFixedSize(_BUTTON_PX, _BUTTON_PX)
-    made.clicked.connect(clicked)
-    return made

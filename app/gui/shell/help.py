@@ -77,6 +77,22 @@ def documentation() -> Path | None:
     return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
 
 
+def _show_log(messages: MessageStrip) -> None:
+    if (window := messages.window()) is None:  # it is not kept: a button would keep it after its end
+        return
+    dialog = TextDialog("log", "Message log", window)
+    dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
+
+    def update() -> None:
+        dialog.view.setPlainText(messages.log or f"No message so far. Shown now: {messages.text.text()}")
+        dialog.view.moveCursor(QTextCursor.MoveOperation.End)
+
+    update()
+    messages.logged.connect(update)
+    dialog.finished.connect(lambda _: messages.logged.disconnect(update))
+    dialog.show()
+
+
 def help_entries(
     window: QWidget, menus: Mapping[str, Entries], messages: MessageStrip, facts: Callable[[], Mapping[str, str]]
 ) -> Entries:
@@ -91,18 +107,7 @@ def help_entries(
         dialog.resize(within_screen(window, _SIZE_LINES * window.fontMetrics().height()))
         dialog.show()
 
-    def show_log() -> None:
-        dialog = TextDialog("log", "Message log", window)
-        dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
-
-        def update() -> None:
-            dialog.view.setPlainText(messages.log or f"No message so far. Shown now: {messages.text.text()}")
-            dialog.view.moveCursor(QTextCursor.MoveOperation.End)
-
-        update()
-        messages.logged.connect(update)
-        dialog.finished.connect(lambda _: messages.logged.disconnect(update))
-        dialog.show()
+    messages.show_log.clicked.connect(lambda: _show_log(messages))
 
     def show_documentation() -> None:
         if (folder := documentation()) is None:
@@ -126,7 +131,7 @@ def help_entries(
 
     return (
         ("Shortcuts and conventions", "F1", show_keys),
-        ("Message log", "Ctrl+L", show_log),
+        ("Message log", "Ctrl+L", messages.show_log),
         ("Documentation", "Shift+F1", show_documentation),
         ("How to cite", "", show_citation),
         ("About svwfs", "", show_about),

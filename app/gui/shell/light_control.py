@@ -79,6 +79,9 @@ class LightControl:
         else:
             then()
 
+    def switch_off(self) -> None:
+        self.switch(is_on=False)
+
     def switch(self, *, is_on: bool) -> None:
         """Switch the light, and end a sequence. While a command waits or runs, it may be lighting up: always off.
 

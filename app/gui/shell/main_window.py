@@ -12,9 +12,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+import numpy as np
 from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QCloseEvent, QDropEvent
-from PyQt6.QtWidgets import QApplication, QMainWindow, QWidget
+from PyQt6.QtGui import QCloseEvent, QDropEvent, QRegion, QResizeEvent
+from PyQt6.QtWidgets import QApplication, QFrame, QMainWindow, QWidget
 
 from app.acquisition.address import CLOSING_S, NAME, NameTaken, NotRunning
 from app.acquisition.instrument import Activity, Status
@@ -41,11 +42,12 @@ from app.gui.shell.replay_bar import ReplayBar
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness, left_behind, light_when_closing, way_out
+from app.gui.shell.verdict import VerdictButton
 from app.gui.widgets import theme
 from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork, answer
-from app.gui.widgets.layouts import column
+from app.gui.widgets.layouts import column, row
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
@@ -53,6 +55,7 @@ from app.timing import Timings
 from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
+_FRAME_PX = 2  # of the red frame
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
@@ -95,12 +98,12 @@ class MainWindow(QMainWindow):
         self.shown = DisplayState(self)
         self.panels = make_panels(self.shown)
         self.controls = self.panels.controls
-        self.status_line = StatusLine()
+        self.status_line, self.verdict = StatusLine(), VerdictButton(self.shown)
         self.controller = Controller(self.messages)
         self.settings = SettingsControl(self.controller)
         self.guide = CalibrationGuide(self.controller, self.settings, self.panels.camera, self)
         self.light = LightControl(self.controller, self.controls, self.guide.end_for_light)
-        self._emergency = EmergencyKeys(self._end_light, self)
+        self._emergency = EmergencyKeys(self.light.switch_off, self)
         self.region_dialog = SensorRegionDialog(self.controller, self)
         self.recording_panel = RecordingPanel()
         self.recording_bar = RecordingBar(self.controller, self.recording_panel, saved)
@@ -115,10 +118,11 @@ class MainWindow(QMainWindow):
             saved,
         )
         self._connect()
-        fill_menus(self, self._menus())
-        if saved is not None:
-            restore_state(saved, self)
+        fill_menus(self, self._menus(), self._ask_while_recording)
+        is_restored = saved is not None and restore_state(saved, self)
         fit_to_screen(self)
+        if not is_restored:
+            self.docks.restore_default()  # for this size
         self._timer = timer(self, REFRESH_MS, self.refresh)
         self._timer.start()
         self.recording_panel.setEnabled(False)
@@ -128,15 +132,20 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("svwfs")
         self.resize(WINDOW_SIZE)
         below = QWidget()
-        column(self.replay, self.messages, self.status_line, spacing=4, parent=below)
+        column(self.replay, row((self.messages, 1), self.status_line, spacing=12), spacing=4, parent=below)
         if (status_bar := self.statusBar()) is not None:
             status_bar.setSizeGripEnabled(False)
             status_bar.addPermanentWidget(below, 1)
             status_bar.setMinimumWidth(900)  # px: captions and plots need it, the controls perhaps more
+        self._frame = QFrame(self)  # around all while a recording is under way
+        self._frame.setProperty("role", "recording")
+        self._frame.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self._frame.hide()
         self.docks = PanelDocks(self, self.panels, self.recording_bar)
         if (bar := self.menuBar()) is not None:
             bar.setNativeMenuBar(False)  # a native one has no corner
             bar.setCornerWidget(self.recording_panel)
+            bar.setCornerWidget(self.verdict, Qt.Corner.TopLeftCorner)
 
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
@@ -147,6 +156,7 @@ class MainWindow(QMainWindow):
             "lattice": lambda _: self.guide.find_lattice(),
             "auto_exposure": lambda _: self.guide.expose(),
             "sensor_region": lambda _: self.region_dialog.begin(),
+            "method": lambda _: self.benches.edit("registration"),
         }
         self.controls.requested.connect(lambda name, value: acts[name](value))
         self.controls.wanted.connect(self.settings.want)
@@ -158,6 +168,7 @@ class MainWindow(QMainWindow):
             panel.warned.connect(self.messages.warn)
             panel.informed.connect(self.messages.inform)
         self.analyses.failed.connect(self.messages.warn)
+        self.verdict.cause_requested.connect(self._lead_to)
         for field in self.findChildren(NumberField):
             field.refused.connect(self.messages.refuse)
         theme.follow(self, self._forget_status)
@@ -186,7 +197,7 @@ class MainWindow(QMainWindow):
                 *presets,
                 *self._entries_of_panels("&Bench"),
                 ("Check the background", "B", self.guide.check_background),
-                ("Light off, from anywhere (also Pause)", "F12", self._end_light),
+                ("Light off, from anywhere (also Pause)", "F12", self.light.switch_off),
                 None,
                 ("Undo the last dark, reference or change", "Ctrl+Z", self.guide.ask_undo),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
@@ -331,8 +342,9 @@ class MainWindow(QMainWindow):
 
     def show_status(self, status: Status) -> None:
         self._status = status
-        attached = ", attached" * self.controller.is_attached
-        self.setWindowTitle(f"svwfs \N{EM DASH} {status.camera_name}{attached}")
+        marks = "SIMULATED" * status.bench.is_simulated, "attached" * self.controller.is_attached
+        names = ", ".join(filter(None, (self.benches.name, status.camera_name, *marks)))
+        self.setWindowTitle(f"svwfs \N{EM DASH} {names}")
         self.shown.reconstruction = status.bench.reconstruction
         self.shown.wanted, self.shown.is_settled = dict(self.settings.wanted), self.controller.is_settled
         for panel in self.panels:
@@ -348,17 +360,24 @@ class MainWindow(QMainWindow):
         alarm = self._alarm_tracker.alarm(status, self._activity, measurement)
         was_grey = shown.data_freshness.is_grey
         shown.data_freshness = data_freshness(status, self._failure, self._activity, measurement)
-        shown.problem = self._failure or self._activity.text or alarm
+        shown.problem = problem = self._failure or self._activity.text or alarm
         for panel in self.panels:
             panel.show_numbers()
             if shown.data_freshness.is_grey is not was_grey:
                 panel.show_stale(is_stale=not was_grey)
         self.recording_bar.refresh()
+        self._frame.setVisible(self.recording_panel.record.isChecked())
+        self._frame.raise_()
         self.status_line.update_text(status, self.controller.about_processes, trouble=self.controller.trouble)
-        self.status_line.show_verdict(shown.verdict)
         tip = advice(status, self._activity, measurement)
         if self._failure:
             tip = way_out(status, is_lost=self.controller.is_lost)
+        self.verdict.show_verdict(
+            problem,
+            is_failed=bool(self._failure),
+            is_busy=bool(self._activity.text),
+            mask_note="" if status is None else status.mask_note,
+        )
         self.messages.show_state(
             failure=self._failure,
             may_reconnect=status is None or not status.is_replay,
@@ -367,8 +386,23 @@ class MainWindow(QMainWindow):
             advice=tip,
         )
 
-    def _end_light(self) -> None:
-        self.light.switch(is_on=False)
+    def _ask_while_recording(self, text: str, act: Callable[[], object]) -> None:
+        """Act, or ask first while frames are recorded: a key may have been typed by mistake."""
+        if self.recording_panel.record.isChecked():
+            self.messages.ask(f"{text}, while frames are recorded?", act, "Yes", "No", is_destructive=True)
+        else:
+            act()
+
+    def _lead_to(self, cause: str) -> None:
+        """Show a panel by its name, of a lost lenslet if there is one; without a name the log."""
+        measurement = self.shown.measurement
+        if cause == "lenslet" and measurement is not None and measurement.wavefront is not None:
+            lost = np.argwhere(~measurement.wavefront.displacement.valid)
+            self.panels.camera.inspect((int(lost[0, 0]), int(lost[0, 1])))
+        elif cause:
+            getattr(self.panels, cause).front_requested.emit()
+        else:
+            self.messages.show_log.click()
 
     def open_file(self, path: Path) -> None:
         if answer(path.is_dir, otherwise=False):
@@ -423,6 +457,12 @@ class MainWindow(QMainWindow):
 
         if not self.controller.ask_to_leave(close, self):
             self.light.ask_off(close)
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
+        super().resizeEvent(event)
+        inner = self.rect().adjusted(_FRAME_PX, _FRAME_PX, -_FRAME_PX, -_FRAME_PX)
+        self._frame.setGeometry(self.rect())
+        self._frame.setMask(QRegion(self.rect()).subtracted(QRegion(inner)))  # nothing else is painted twice
 
     def event(self, event: QEvent | None) -> bool:
         """Take the focus when active, open what is dropped, and time the painting at UpdateRequest."""

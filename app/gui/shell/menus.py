@@ -1,5 +1,6 @@
 """Menus of the window, made of entries with their keys, or of the files used last."""
 
+import string
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from pathlib import Path
@@ -13,16 +14,20 @@ from app.gui.widgets.file_work import answer
 
 _MOST = 8  # recent files
 _EVERYWHERE = {"L", "F12"}  # keys that work in every dialog: the light
+_PLAIN = {*string.ascii_uppercase, "Space"} - _EVERYWHERE  # keys that may be typed by mistake
+_COMMANDS = {"&File", "&Bench"}  # menus that change the instrument, not only the display
 
 
-def fill_menus(window: QMainWindow, menus: Mapping[str, Entries]) -> None:
-    """Fill the menu bar."""
+def fill_menus(
+    window: QMainWindow, menus: Mapping[str, Entries], ask: Callable[[str, Callable[[], object]], object]
+) -> None:
+    """Fill the menu bar; `ask` gets text and action of what a plain key would do with the instrument."""
     for title, entries in menus.items():
         if (bar := window.menuBar()) is not None and (menu := bar.addMenu(title)) is not None:
-            _fill(menu, entries)
+            _fill(menu, entries, ask if title in _COMMANDS else lambda _, act: act())
 
 
-def _fill(menu: QMenu, entries: Entries) -> None:
+def _fill(menu: QMenu, entries: Entries, ask: Callable[[str, Callable[[], object]], object]) -> None:
     buttons: list[tuple[QAction, QAbstractButton]] = []
     for entry in entries:
         if entry is None:
@@ -32,6 +37,10 @@ def _fill(menu: QMenu, entries: Entries) -> None:
         if isinstance(act, QMenu):
             act.setTitle(text)
             menu.addMenu(act)
+        elif isinstance(act, QAction):
+            act.setShortcut(QKeySequence(key))
+            act.setAutoRepeat(False)
+            menu.addAction(act)
         elif (action := menu.addAction(text)) is not None:
             if isinstance(act, QAbstractButton):
                 buttons.append((action, act))
@@ -40,6 +49,8 @@ def _fill(menu: QMenu, entries: Entries) -> None:
             action.setAutoRepeat(False)  # a held key switches once
             if key in _EVERYWHERE:
                 action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
+            if key in _PLAIN:
+                act = partial(ask, text, act)
             action.triggered.connect(lambda _=False, act=act: act())
     menu.aboutToShow.connect(lambda: _follow(buttons, is_open=True))
     menu.aboutToHide.connect(lambda: _follow(buttons, is_open=False))
@@ -82,14 +93,17 @@ class RecentFiles:
         return listing_menu(parent, lambda: [(text(path), partial(act, path)) for path in self.paths()])
 
 
-def listing_menu(parent: QWidget, entries: Callable[[], Iterable[tuple[str, Callable[[], object]]]]) -> QMenu:
-    """Return a menu whose `entries`, texts with what they do, are listed whenever it opens."""
+def listing_menu(parent: QWidget, entries: Callable[[], Iterable[QAction | tuple[str, Callable[[], object]]]]) -> QMenu:
+    """Return a menu whose `entries`, actions or texts with what they do, are listed whenever it opens."""
     menu = QMenu(parent)
 
     def fill() -> None:
         menu.clear()
-        for text, act in entries():
-            menu.addAction(text, lambda _=False, act=act: act())
+        for entry in entries():
+            if isinstance(entry, QAction):
+                menu.addAction(entry)
+            else:
+                menu.addAction(entry[0], lambda _=False, act=entry[1]: act())
         if menu.isEmpty() and (none := menu.addAction("None yet")) is not None:
             none.setEnabled(False)
 

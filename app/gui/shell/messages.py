@@ -49,13 +49,14 @@ class MessageStrip(QFrame):
         self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
         self.cancel = Button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
+        self.show_log = Button("Log", "All messages with their times (Ctrl+L)")
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setFormat("%p %")
         hidden = (self.reconnect, self.control, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
         for widget in hidden:
             widget.hide()
-        fill_strip(self, (self.text, 1), *hidden)
+        fill_strip(self, (self.text, 1), *hidden, self.show_log)
         self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
 
     @property
@@ -103,8 +104,9 @@ class MessageStrip(QFrame):
         self._question, self._act, self._is_destructive = question, act, is_destructive
         self._say(question)
         self.accept.setText(accept)
-        self.accept.setShortcut("" if is_destructive else "Return")
-        self.accept.setToolTip("Accept" if is_destructive else "Accept (Return)")
+        key = "Ctrl+Return" if is_destructive else "Return"
+        self.accept.setShortcut(key)
+        self.accept.setToolTip(f"Accept ({key})")
         self.discard.setText(discard)
 
     def escape(self) -> None:

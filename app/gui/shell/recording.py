@@ -25,7 +25,7 @@ from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import fill_strip
 from app.gui.widgets.presentation import percent
-from app.gui.widgets.texts import ElidedLabel, label, mark_refused
+from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
 from app.progress import LINE_START, LINES, counted
 from app.recording.folder import describe, name_problem, read_run
 from app.recording.recorder import RECENT_S, RecordingLimit, RecordingState
@@ -33,8 +33,8 @@ from app.results.export import EXPORT_FORMATS, Format
 from app.run_facts import command_line
 from drivers.interface import Range
 
-_WIDEST = "000000 frames   00:00   disk space for 000 min"  # of more, only the tool tip has the disk space
-_STOP = "Stop recording"
+_WIDEST = "disk space for 000 min"  # of more, the end is elided: the tool tip has it
+_STOP = "Stop"
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
 _END_MS = 3000  # for a command that is to end
@@ -76,6 +76,7 @@ class RecordingPanel(QWidget):
         text = "   ".join((*_progress(state), *room))
         is_narrow = self.text.fontMetrics().horizontalAdvance(text) > self.text.width()
         self.text.setText("   ".join(_progress(state)) if is_narrow else text)
+        colour_text(self.text, theme.RED if is_recording else theme.DIM)
         self.text.setToolTip(text if state is None else f"{text}\n{state.folder}")
 
     def _leave_fields(self) -> None:
@@ -93,7 +94,9 @@ def _progress(state: RecordingState | None) -> tuple[str, ...]:
     minutes, seconds = divmod(round(state.seconds), 60)
     behind = (f"{state.waiting} waiting for the disk",) if state.waiting > _BEHIND else ()
     gap = (gaps_in_words(state.gaps),) if state.gaps else ()
-    return (counted(state.frames), f"{minutes}:{seconds:02d}", *gap, *behind)
+    lasts = f"{minutes}:{seconds:02d}"
+    began = (f"REC {lasts}", str(state.frames)) if state.stage == "recording" else (counted(state.frames), lasts)
+    return (*began, *gap, *behind)
 
 
 @dataclass

@@ -155,7 +155,7 @@ class ReplayBar(QFrame):
         if player is None or position is None or overview is None:
             return
         self._controls.shown.replayed = f"frame {player.frames[position]}", float(overview.time_s[position])
-        self._controls.light.setText(f"Light\nwas {'off' if position in overview.is_dark else 'on'}")
+        self._controls.light.setText(f"Light was {'off' if position in overview.is_dark else 'on'}")
 
     def show_status(self, status: Status) -> None:
         """Show whether the recording plays; disable the devices, which the status has enabled."""

@@ -46,7 +46,7 @@ class SettingsDialog(QDialog):
         self.sections, self.pages = QListWidget(), QStackedWidget()
         self.sections.setFixedWidth(170)
         self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
-        self.camera, self.light = Choice(), Choice()
+        self.camera, self.light = Choice("Connected camera"), Choice("Connected light")
         self._choices = {"camera": self.camera, "light": self.light}
         self.devices = QWidget()
         connected = QFormLayout(self.devices)
@@ -65,12 +65,12 @@ class SettingsDialog(QDialog):
         fill_dialog(self, *parts)
         self._timer = timer(self, 100, self._poll)
 
-    def edit(self, bench: Bench) -> None:
+    def edit(self, bench: Bench, section: str) -> None:
         self.setWindowTitle("Settings of the bench")
         self.devices.hide()
         self.apply.setText("Apply")
         self.apply.setToolTip("Use these settings; registration and reconstruction change while the camera runs")
-        self._begin(SettingsForm.of(bench))
+        self._begin(SettingsForm.of(bench), section)
         self._before = self._check()
 
     def make(self, template: Bench) -> None:
@@ -110,9 +110,9 @@ class SettingsDialog(QDialog):
                 self._form.use_device(device)
                 self._build(kind)
 
-    def _begin(self, form: SettingsForm) -> None:
+    def _begin(self, form: SettingsForm, section: str = "sensor") -> None:
         self._form = form
-        self._build("sensor")
+        self._build(section)
         self.show()
         self.activateWindow()
 
@@ -130,6 +130,7 @@ class SettingsDialog(QDialog):
             layout.addRow(label(section.help, "dim", is_wrapped=True))
             for field in section.fields:
                 editor = self._editor(field)
+                editor.setAccessibleName(field.label)
                 editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")
                 self.editors[field.path] = (field, editor)
                 layout.addRow(f"{field.label} ({field.unit})" if field.unit else field.label, editor)
@@ -205,9 +206,12 @@ class SettingsDialog(QDialog):
             ending.setEnabled(not sentence)
 
     def _apply(self) -> None:
-        if (bench := self._check()) is not None:
+        if (bench := self._check()) is None:
+            return
+        if self._before is None:  # a new bench
             self.close()
-            self._use(bench, self._before)
+        self._use(bench, self._before)
+        self._before = bench if self._before is not None else None
 
     def _save(self) -> None:
         bench = self._check()

@@ -15,12 +15,13 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from app.gui.shell.docks import restore_docks
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice, close_button
 from app.gui.widgets.layouts import FRAME_PX, fill_dialog, row, within_screen
 from app.gui.widgets.texts import label
 
-_LAYOUT = 1  # a state of another version is ignored
+_LAYOUT = 2  # a state of another version is ignored
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the saved state
 _USUAL = {_THEME: "system", _SIZE: "100"}
 _PROPERTIES = (  # of Qt, that hold the state of a part
@@ -51,15 +52,16 @@ def save_state(saved: QSettings, window: QMainWindow) -> None:
     saved.sync()
 
 
-def restore_state(saved: QSettings, window: QMainWindow) -> None:
-    """Restore what was saved."""
+def restore_state(saved: QSettings, window: QMainWindow) -> bool:
+    """Restore what was saved; return whether the panels have a saved layout."""
     if isinstance(geometry := saved.value("window/geometry"), QByteArray):
         window.restoreGeometry(geometry)
-    if isinstance(panels := saved.value("window/panels"), QByteArray):
-        window.restoreState(panels, _LAYOUT)
+    panels = saved.value("window/panels")
+    is_restored = isinstance(panels, QByteArray) and restore_docks(window, panels, _LAYOUT)
     for key, part in _parts(window).items():
         if saved.contains(key):
             _restore(part, str(saved.value(key)))  # an INI file stores text
+    return is_restored
 
 
 def fit_to_screen(window: QMainWindow) -> None:

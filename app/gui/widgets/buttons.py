@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable
 
 from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
-from PyQt6.QtGui import QKeyEvent, QWheelEvent
+from PyQt6.QtGui import QAction, QKeyEvent, QWheelEvent
 from PyQt6.QtWidgets import QComboBox, QPushButton, QStyle, QStyledItemDelegate, QStyleOptionComboBox, QWidget
 
 from app.bench.settings_form import name_of
@@ -53,6 +53,19 @@ class Toggle(Button):
         self.setChecked(is_on)
 
 
+def checkable(
+    parent: QWidget, text: str, tool_tip: str, toggled: Slot, *, is_on: bool = False, key: str = ""
+) -> QAction:
+    """Make an entry of a menu that is ticked or not; `key`: see `Toggle`."""
+    made = QAction(text, parent)
+    made.setToolTip(tool_tip)
+    made.setObjectName(key)
+    made.setCheckable(True)
+    made.setChecked(is_on)
+    made.toggled.connect(toggled)
+    return made
+
+
 class Choice(QComboBox):
     """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
 
@@ -72,6 +85,7 @@ class Choice(QComboBox):
         self.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.setObjectName(key)
         self.setToolTip(tool_tip)
+        self.setAccessibleName(tool_tip.partition("\n")[0])
         for item in items:
             self.addItem(*((item,) if isinstance(item, str) else item))
         self.currentTextChanged.connect(self.updateGeometry)

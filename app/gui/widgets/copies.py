@@ -30,7 +30,7 @@ def add_copy_menu(
         menu = QMenu(widget)
         menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
         fill(menu, at)
-        menu.addAction("Copy picture", partial(_copy_picture, widget))
+        menu.addAction("Copy picture", partial(copy_picture, widget))
         if text := numbers(at):
             menu.addAction("Copy numbers", partial(copy_text, text))
             menu.addAction("Save numbers as CSV", partial(save_numbers, widget, text if table is None else table()))
@@ -61,7 +61,8 @@ def copy_text(text: str) -> None:
         clipboard.setText(text)
 
 
-def _copy_picture(widget: QWidget) -> None:
+def copy_picture(widget: QWidget) -> None:
+    """Put a picture of a widget into the clipboard."""
     if (clipboard := QGuiApplication.clipboard()) is not None:
         clipboard.setPixmap(widget.grab())
 

@@ -26,13 +26,13 @@ class NumberField(QDoubleSpinBox):
     def __init__(self, *, tool_tip: str, name: str = "", unit: str = "", decimals: int = 0, lowest: str = "") -> None:
         """Show values in `unit`, such as "ms", the lowest as the word `lowest`; errors start with `name`."""
         super().__init__()
+        self.setAccessibleName(f"{name} ({unit})" if unit else name)
         self._name, self._unit, self._allowed = name, unit, Range(0, 0)
         self._shown_problem = ""
         self._latest: tuple[float, Range] | None = None  # value in force and its range, in SI units
         self._factor = 1e-3 if unit[:-1] == "m" else 1.0  # SI units have one letter
         self.setLocale(QLocale.c())  # a point, as in the rest of the window
         self.setGroupSeparatorShown(False)
-        self.setSuffix(f" {unit}" if unit else "")
         self.setDecimals(decimals)
         self.setSpecialValueText(lowest)
         self.setToolTip(tool_tip)
@@ -41,7 +41,7 @@ class NumberField(QDoubleSpinBox):
         self.setCorrectionMode(QAbstractSpinBox.CorrectionMode.CorrectToPreviousValue)
         if decimals:
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
-        usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0") + self.suffix(), lowest), key=len)
+        usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0"), lowest), key=len)
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + BUTTONS_WIDTH_PX)  # independent of the range
         self.valueChanged.connect(self._enter)
         if (line := self.lineEdit()) is not None:
@@ -57,11 +57,6 @@ class NumberField(QDoubleSpinBox):
             self.setRange(allowed.minimum / self._factor, allowed.maximum / self._factor)
             self.setValue(value / self._factor)
         self._mark()
-
-    def use_unit(self, unit: str) -> None:
-        """Show and take values in another unit, as they are."""
-        self._unit, self._factor = unit, 1.0
-        self.setSuffix(f" {unit}" if unit else "")
 
     def edit(self) -> None:
         self.setFocus()
@@ -115,23 +110,19 @@ class NumberField(QDoubleSpinBox):
 
     def _parse(self, text: str) -> float | None:
         """Return a typed value in the shown unit; None if it is no number with this unit."""
-        text = self._typed(text)
+        text = text.strip()
         if text and text == self.specialValueText():
             return self.minimum()
         number = typed_number(text, self._unit, self._factor)
         return None if number is None else number / self._factor
-
-    def _typed(self, text: str) -> str:
-        """Return a text without the suffix, which stays while the number is replaced."""
-        return text.removesuffix(self.suffix()).strip()
 
     def _problem(self, text: str | None = None) -> str:
         """Return why what is typed cannot be used; empty if it can."""
         text = self.text() if text is None else text
         value = self._parse(text)
         lowest, highest = (f"{round(end, self.decimals()):.12g}" for end in (self.minimum(), self.maximum()))
-        allowed = f"{lowest} ... {highest}{self.suffix()}"
-        about = f"{self._name} {self._typed(text)}".strip()
+        allowed = f"{lowest} ... {highest} {self._unit}".strip()
+        about = f"{self._name} {text.strip()}".strip()
         if value is None:
             return f"{about}: type a number {f'in {self._unit}, ' if self._unit else ''}{allowed}"
         if not self.decimals() and value != round(value):
@@ -144,7 +135,7 @@ class NumberField(QDoubleSpinBox):
     def _restore(self) -> None:
         if (line := self.lineEdit()) is not None:
             word = self.specialValueText() if self.value() == self.minimum() else ""
-            line.setText(word or self.textFromValue(self.value()) + self.suffix())
+            line.setText(word or self.textFromValue(self.value()))
         if self._latest is not None:
             self.show_value(*self._latest)
 
@@ -175,6 +166,7 @@ class TextField(QLineEdit):
         self.setFocusPolicy(Qt.FocusPolicy.ClickFocus)
         self.setToolTip(tool_tip)
         self.setPlaceholderText(hint)
+        self.setAccessibleName(hint)
 
     def show_text(self, text: str) -> None:
         self._in_force = text

@@ -14,6 +14,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from app.gui.widgets.texts import label
+
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
 L = TypeVar("L", bound=QBoxLayout)
 FRAME_PX = QSize(10, 40)  # window managers add it only when a window is shown
@@ -28,6 +30,14 @@ def row_of(*items: Item) -> QWidget:
     """Make a widget of items from left to right."""
     made = QWidget()
     row(*items, parent=made)
+    return made
+
+
+def captioned(name: str, control: QWidget) -> QWidget:
+    """Make a widget of a control below its name, which may have a unit."""
+    made = QWidget()
+    control.setAccessibleName(control.accessibleName() or name)
+    column(label(name, "dim"), (control, 1), spacing=1, parent=made)
     return made
 
 
@@ -73,6 +83,14 @@ class Scrolled(QScrollArea):
         if event is not None and event.type() == QEvent.Type.LayoutRequest:
             self.updateGeometry()
         return super().eventFilter(watched, event)
+
+    def minimumSizeHint(self) -> QSize:  # noqa: N802 - Qt's name
+        """Return the least width of the contents: they only scroll up and down."""
+        contents, bar = self.widget(), self.verticalScrollBar()
+        least = super().minimumSizeHint()
+        if contents is None or bar is None:
+            return least
+        return QSize(contents.minimumSizeHint().width() + bar.sizeHint().width(), least.height())
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
         """Return the size of the contents, which Qt would limit, and room for the scroll bar."""

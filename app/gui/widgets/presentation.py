@@ -9,6 +9,7 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
+from app.gui.widgets import theme
 from app.results.pictures import Pixels, step_above
 from app.results.view_maps import Quantity
 from reconstruction.arrays import Floats
@@ -55,8 +56,9 @@ class ColourScale:
 
 
 def diverging(limit: float, unit: str) -> ColourScale:
-    """Return the scale of phases from -limit to +limit: blue, white, red."""
-    return ColourScale("CET-D1", -limit, limit, unit, _HALVES, is_signed=True)
+    """Return the scale of phases from -limit to +limit: blue, white, red; black in the middle on a light background."""
+    colours = "CET-D4" if theme.is_light() else "CET-D1"
+    return ColourScale(colours, -limit, limit, unit, _HALVES, is_signed=True)
 
 
 def of_counts(limit: float) -> ColourScale:
@@ -126,10 +128,12 @@ class Presentation:
         """True for a phase, False for a ratio."""
         return self.family != "intensity"
 
-    def caption(self, first: float, second: float) -> tuple[str, ...]:
-        """Format the numbers of a view: wordings, longest first."""
-        text = f"{self.names[0]} {number(first)}"
-        return f"{text}   {self.names[1]} {number(second)}", text, number(first)
+    def caption(self, first: float, second: float, sigma: float, unit: str) -> tuple[str, ...]:
+        """Format the numbers of a view, the first with its error if that is known: wordings, longest first."""
+        with_unit = f"{unit if self.has_unit else ''}"
+        text = number(first) + f" \N{PLUS-MINUS SIGN} {number(sigma, 1)}" * (sigma > 0)
+        full = f"{self.names[0]} {text} {with_unit}".rstrip()
+        return f"{full}, {self.names[1]} {number(second)}", full, f"{text} {with_unit}".rstrip(), text, number(first)
 
     def limit(self, maps: Floats) -> float:
         """Return the limit that the scale of maps (...) needs, in their unit; NaN if all are NaN."""

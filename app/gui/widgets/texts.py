@@ -91,26 +91,19 @@ class ElidedLabel(QLabel):
 
 def colour_text(shown: QLabel, colour: QColor) -> None:
     """Show a text in a colour of the theme, also when the theme changes."""
-    _restyle(shown, "tone", theme.tone(colour))
+    theme.restyle(shown, "tone", theme.tone(colour))
 
 
 def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
     """Show the value of a control in amber italics while it is wanted and not in force."""
-    _restyle(control, "wanted", is_wanted)
+    theme.restyle(control, "wanted", is_wanted)
 
 
 def mark_stale(shown: QWidget, *, is_stale: bool) -> None:
     """Show results without colour while they may be outdated."""
-    _restyle(shown, "stale", is_stale)
+    theme.restyle(shown, "stale", is_stale)
 
 
 def mark_refused(control: QWidget, *, is_refused: bool) -> None:
     """Show in red what is typed and cannot be used."""
     control.setStyleSheet(f"color: {theme.RED.name()};" if is_refused else "")
-
-
-def _restyle(widget: QWidget, name: str, value: object) -> None:
-    if (widget.property(name) or False) != value and (style := widget.style()) is not None:
-        widget.setProperty(name, value)
-        style.unpolish(widget)
-        style.polish(widget)

@@ -17,10 +17,10 @@ def _pair(dark: str, light: str) -> QColor:
     return colour
 
 
-BACKGROUND = _pair("#14171b", "#eef0f3")
+BACKGROUND = _pair("#0b0d10", "#eef0f3")
 SURFACE = _pair("#1c2026", "#fafbfc")
 RAISED = _pair("#2a3038", "#dfe4ea")
-LINE = _pair("#363d47", "#b4bdc8")
+LINE = _pair("#6d7682", "#7f8893")
 TEXT = _pair("#dde2e8", "#1b2026")
 DIM = _pair("#98a2ae", "#525d69")
 ACCENT = _pair("#4fa3e3", "#1668a8")
@@ -29,7 +29,7 @@ AMBER = _pair("#f0b64a", "#8a5600")
 RED = _pair("#ff6a5f", "#c0281c")
 DISABLED = _pair("#69727d", "#8b949e")
 CHECKED = _pair("#22394c", "#c5dcef")
-LIT = _pair("#ffc14d", "#f0a400")  # the lamp of a light that is on
+LIT = _pair("#ffc14d", "#a96d00")  # the lamp of a light that is on
 ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
 # An image is as dark in every theme.
 _TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
@@ -41,7 +41,7 @@ QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
 QLabel[role="dim"], *[stale="true"] {{ color: {DIM.name()}; }}
 QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
-{"".join(f'QLabel[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
+{"".join(f'*[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
 *[role="strip"] {{ background: {SURFACE.name()}; }}
 *[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
@@ -53,7 +53,13 @@ QCheckBox::indicator:focus {{ border-color: {ACCENT.name()}; }}
 QPushButton {{ padding: 3px 8px; }}
 QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
 QPushButton[role="step"] {{ padding: 3px 4px; }}
-QPushButton[role="light"] {{ font-weight: 600; padding: 3px 6px; }}
+QPushButton[role="light"] {{ font-weight: 600; padding: 6px; }}
+QPushButton[role="verdict"] {{ font-weight: 600; padding: 3px 6px; border: none; text-align: left; }}
+QPushButton[role="verdict"]:hover {{ background: {RAISED.name()}; }}
+QPushButton[role="more"] {{ padding: 0px 4px; border: none; }}
+QPushButton[role="more"]:hover {{ background: {RAISED.name()}; }}
+QPushButton[role="more"]::menu-indicator {{ image: none; width: 0px; }}
+QFrame[role="recording"] {{ background: {RED.name()}; }}
 QPushButton[role="light"]:checked {{ border: 2px solid {RED.name()}; border-radius: 4px; }}
 QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
 QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
@@ -96,6 +102,19 @@ def use_theme(application: QApplication, name: str) -> None:
     """Use the "light" or "dark" colours from now on, or those of the desktop ("system")."""
     application.setProperty("theme", name)
     _colour(application)
+
+
+def is_light() -> bool:
+    """Return whether the background is light."""
+    return BACKGROUND.lightnessF() > 0.5
+
+
+def restyle(widget: QWidget, name: str, value: object) -> None:
+    """Set a property that the style sheet looks at."""
+    if (widget.property(name) or False) != value and (style := widget.style()) is not None:
+        widget.setProperty(name, value)
+        style.unpolish(widget)
+        style.polish(widget)
 
 
 def tone(colour: QColor) -> str:

@@ -4,10 +4,11 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QBrush, QColor, QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
@@ -18,23 +19,23 @@ from app.gui.widgets.presentation import ColourScale, colour_table
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
-_GAP_PX, _NARROW_GAP_PX = 10, 3  # between views with captions, and without
-_BAR_WIDTH_PX, _BAR_MARGIN_PX, _BAR_TICK_PX = 14, 16, 7  # colour bar, space left of it, space before its numbers
+_GAP_PX = 3  # between views
+_BAR_WIDTH_PX, _BAR_MARGIN_PX, _BAR_TICK_PX = 14, 10, 7  # colour bar, space left of it, space before its numbers
 LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
-_CAPTION_PX = 100  # small views stand apart, if there is room, so that their captions fit
 MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 4  # between the captions of neighbours
-_CAPTIONED = ((2, 50), (1, 40), (0, 0))  # lines and least px: of narrower views only the tool tips have the numbers
+_LEAST_PX = 40  # width of views with captions: of narrower ones only the tool tips have the numbers
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 _HATCHING = QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)  # of unknown values
+_UNSURE = QBrush(QColor(0, 0, 0, 150), Qt.BrushStyle.FDiagPattern)  # over values
 _DIGIT = re.compile(r"\d")
 
-Caption = tuple[tuple[str, ...], tuple[str, ...]]  # two lines, each with its wordings, longest first
+Caption = tuple[tuple[str, ...], tuple[str, ...]]  # left and right part, each with its wordings, longest first
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Maps:
-    """A map for every view; NaN is hatched."""
+    """A map for every view; NaN is hatched on grey, and an unsure value over its colour."""
 
     values: Floats  # (view_row, view_column, row, column)
     scale: ColourScale
@@ -42,6 +43,7 @@ class Maps:
     is_smooth: bool = False  # whether to interpolate: samples of a function, not lenslets
     reach: tuple[float, float] = (1.0, 1.0)  # x and y of the last column's and row's middle, about the map's middle
     reach_unit: str = ""
+    unsure: NDArray[np.bool_] | None = None  # values with large errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,7 @@ class Places:
     size: QSize  # of each
     step: QSize  # from one to the next
     bar_space: int  # width of the colour bar and its numbers; 0 if the views need it: tool tips have the values
-    caption_lines: int
+    has_captions: bool
     tiles: QRegion  # of all views
 
     def tile(self, view_row: int, view_column: int) -> QRect:
@@ -64,30 +66,28 @@ def arrange_views(
     room: tuple[int, int], shape: tuple[int, ...], *, bar_space: int, line_px: int, is_captioned: bool
 ) -> Places:
     """Arrange maps of a shape (view_row, view_column, row, column) in a room, above captions that fit."""
-    arrange = partial(_arrange, QSize(*room), shape, bar_space, line_px)
-    captioned = _CAPTIONED if is_captioned else _CAPTIONED[-1:]
-    return next(places for lines, least in captioned if (places := arrange(lines)).size.width() >= least)
+    captioned = _arrange(QSize(*room), shape, bar_space, line_px + 1) if is_captioned else None
+    if captioned is not None and captioned.size.width() >= _LEAST_PX:
+        return captioned
+    return _arrange(QSize(*room), shape, bar_space, 0)
 
 
-def _arrange(room: QSize, shape: tuple[int, ...], bar_space: int, line_px: int, lines: int) -> Places:
+def _arrange(room: QSize, shape: tuple[int, ...], bar_space: int, below: int) -> Places:
     view_rows, view_columns, rows, columns = shape
-    below, gap = (lines * line_px + 4, _GAP_PX) if lines else (0, _NARROW_GAP_PX)
     if not min(shape):
-        return Places(QPoint(), QSize(0, 0), QSize(), 0, caption_lines=0, tiles=QRegion())
-    width = (room.width() - 2 * MARGIN_PX - bar_space - (view_columns - 1) * gap) / view_columns
-    height = (room.height() - 2 * MARGIN_PX - (view_rows - 1) * gap) / view_rows - below
+        return Places(QPoint(), QSize(0, 0), QSize(), 0, has_captions=False, tiles=QRegion())
+    width = (room.width() - 2 * MARGIN_PX - bar_space - (view_columns - 1) * _GAP_PX) / view_columns
+    height = (room.height() - 2 * MARGIN_PX - (view_rows - 1) * _GAP_PX) / view_rows - below
     scale = max(min(width / columns, height / rows), 0)
     size = QSize(int(scale * columns), int(scale * rows))
-    free = room.width() - 2 * MARGIN_PX - bar_space - view_columns * size.width() - (view_columns - 1) * gap
-    wider = min(max(_CAPTION_PX - size.width() - gap, 0), max(free, 0) // max(view_columns - 1, 1)) if below else 0
-    step = QSize(size.width() + gap + wider, size.height() + below + gap)
-    used = QSize(view_columns * step.width() - gap - wider + bar_space, view_rows * step.height() - gap)
+    step = QSize(size.width() + _GAP_PX, size.height() + below + _GAP_PX)
+    used = QSize(view_columns * step.width() - _GAP_PX + bar_space, view_rows * step.height() - _GAP_PX)
     left, top = (room.width() - used.width()) // 2, (room.height() - used.height()) // 2
     first = QPoint(max(left, MARGIN_PX), max(top, MARGIN_PX))
     tiles = QRegion()
     for row, column in np.ndindex(view_rows, view_columns):
         tiles += QRect(first + QPoint(column * step.width(), row * step.height()), size)
-    return Places(first, size, step, bar_space, caption_lines=lines, tiles=tiles)
+    return Places(first, size, step, bar_space, has_captions=bool(below), tiles=tiles)
 
 
 class ViewGrid(QWidget):
@@ -95,6 +95,7 @@ class ViewGrid(QWidget):
 
     selected = pyqtSignal(int, int)  # view row and column
     opened = pyqtSignal()  # the selected view, by a double click
+    bar_clicked = pyqtSignal(QRect)  # at this place
 
     def __init__(
         self,
@@ -179,7 +180,7 @@ class ViewGrid(QWidget):
             painter.drawRect(places.tile(*self.selection).adjusted(-1, -1, 1, 1))
         if painted.subtracted(places.tiles).isEmpty():
             return
-        if places.caption_lines:
+        if places.has_captions:
             self._paint_captions(painter)
         if places.bar_space:
             self._paint_color_bar(painter, maps)
@@ -191,9 +192,12 @@ class ViewGrid(QWidget):
         return super().event(event)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        is_left = event is not None and event.button() == Qt.MouseButton.LeftButton
-        if event is not None and is_left and (view := self._view_at(event.pos())) is not None:
+        if event is None or event.button() != Qt.MouseButton.LeftButton or self.maps is None:
+            return
+        if (view := self._view_at(event.pos())) is not None:
             self.selected.emit(*view)
+        elif self.places.bar_space and event.pos().x() >= (bar := self._bar(self.maps)).left():
+            self.bar_clicked.emit(bar)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         if event is not None and self._view_at(event.pos()) is not None:
@@ -280,35 +284,43 @@ class ViewGrid(QWidget):
         for index, view in enumerate(np.ndindex(shown.shape[:2])):
             painter.setClipRect(places.tile(*view))
             painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
+            if maps.unsure is not None:
+                self._paint_unsure(painter, places.tile(*view), maps.unsure[view])
         painter.setClipping(False)
 
+    def _paint_unsure(self, painter: QPainter, tile: QRect, unsure: NDArray[np.bool_]) -> None:
+        if unsure.all():
+            painter.fillRect(tile, _UNSURE)
+            return
+        height, width = tile.height() / unsure.shape[0], tile.width() / unsure.shape[1]
+        for row, column in np.argwhere(unsure):
+            place = QRectF(tile.left() + column * width, tile.top() + row * height, width, height)
+            painter.fillRect(place.toRect(), _UNSURE)
+
     def _paint_captions(self, painter: QPainter) -> None:
-        line, width = self.fontMetrics().height(), self._caption_width
-        for index, colour in enumerate(
-            (theme.DIM if self.is_stale else theme.TEXT, theme.DIM)[: self.places.caption_lines]
-        ):
-            wording = self._wording(index)
-            if wording is None:
-                continue
-            painter.setPen(colour)
-            for (row, column), lines in self.captions.items():
-                tile = self.places.tile(row, column)
-                place = QRect(tile.center().x() - width // 2, tile.bottom() + 3 + index * line, width, line)
-                painter.drawText(place, Qt.AlignmentFlag.AlignCenter, lines[index][wording])
+        """Write the number at the left, and the place at the right if there is room for both."""
+        line, width = self.fontMetrics().height(), self.places.size.width()
+        number, numbers_px = self._wording(0, width)
+        place, _ = self._wording(1, width - numbers_px - _BETWEEN_PX)
+        for (row, column), (numbers, places) in self.captions.items():
+            tile = self.places.tile(row, column)
+            below = QRect(tile.left(), tile.bottom() + 2, width, line)
+            if number is not None:
+                painter.setPen(theme.DIM if self.is_stale else theme.TEXT)
+                painter.drawText(below, Qt.AlignmentFlag.AlignLeft, numbers[number])
+            if place is not None:
+                painter.setPen(theme.DIM)
+                painter.drawText(below, Qt.AlignmentFlag.AlignRight, places[place])
 
-    @property
-    def _caption_width(self) -> int:
-        """Width of a view and half of the gaps beside it, without touching the colour bar."""
-        step, size = self.places.step.width(), self.places.size.width()
-        return min(step - _BETWEEN_PX, size + 2 * (_BAR_MARGIN_PX - _BETWEEN_PX))
-
-    def _wording(self, line: int) -> int | None:
-        """Return the longest wording of a line that fits under all views, if any."""
-        width, advance = self._caption_width, self.fontMetrics().horizontalAdvance
+    def _wording(self, side: int, room_px: int) -> tuple[int | None, int]:
+        """Return the longest wording of a side that fits under all views, if any, and its width."""
         # Measuring takes longer than painting all maps; digits are equally wide, and most texts differ only in them.
-        by_wording = zip(*(lines[line] for lines in self.captions.values()), strict=True)
-        alike = ({_DIGIT.sub("0", text) for text in texts} for texts in by_wording)
-        return next((index for index, texts in enumerate(alike) if max(map(advance, texts)) <= width), None)
+        by_wording = zip(*(sides[side] for sides in self.captions.values()), strict=True)
+        for index, texts in enumerate(by_wording):
+            widest = max(map(self.fontMetrics().horizontalAdvance, {_DIGIT.sub("0", text) for text in texts}))
+            if widest <= room_px:
+                return index, widest
+        return None, 0
 
     def _paint_color_bar(self, painter: QPainter, maps: Maps) -> None:
         line, bar = self.fontMetrics().height(), self._bar(maps)

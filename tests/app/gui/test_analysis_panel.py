@@ -17,14 +17,15 @@ from support.wavefronts import bowl
 from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, picture, press, views, wait_for_wavefront
 
 from app.gui.panels.quality import verdict
+from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.shell.main_window import MainWindow
-from app.gui.widgets.presentation import PRESENTATIONS, colour_table
+from app.gui.widgets.presentation import PRESENTATIONS, colour_table, number
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
 from reconstruction.quality.isoplanatism import Isoplanatism, StructureCurve
 from reconstruction.solve.zonal import ZonalSolution
-from reconstruction.wavefront import Wavefront
+from reconstruction.wavefront import Wavefront, rms
 
 KEYS = (Qt.Key.Key_1, Qt.Key.Key_2, Qt.Key.Key_3, Qt.Key.Key_4, Qt.Key.Key_5)
 
@@ -99,7 +100,7 @@ def test_psf_peaks_in_the_middle_and_caption_states_strehl(make_window: MakeWind
     middle = maps.shape[2] // 2
     assert maps[1, 1, middle, middle] == maps[1, 1].max() == pytest.approx(1)
     captions = window.panels.wavefronts.grid.captions
-    assert captions[1, 1][0] == ("Strehl 1.00   peak 1.00", "Strehl 1.00", "1.00")
+    assert captions[1, 1][0] == ("Strehl 1.00, peak 1.00", "Strehl 1.00", "1.00", "1.00", "1.00")
     assert captions[2, 0][0][1] == "Strehl \N{EN DASH}"
     grid = window.panels.wavefronts.grid
     seen = picture(grid).astype(int)
@@ -225,36 +226,70 @@ def test_frozen_scale_keeps_colours_and_reach(make_window: MakeWindow, qtbot: Qt
     panel.choice.setCurrentText(Quantity.PSF)
     show(window, bowl())
     qtbot.waitUntil(lambda: panel.grid.maps is not None)
-    panel.freeze_scale.setChecked(True)
+    panel.fix_scale.setChecked(True)
     assert panel.grid.maps is not None
     scale, reach_mrad = panel.grid.maps.scale, panel._reach_mrad.value
     show(window, bowl(tilt_rad_per_m=8000.0))
     qtbot.wait(600)
     assert panel.grid.maps.scale == scale
     assert panel._reach_mrad.value == reach_mrad
-    panel.freeze_scale.setChecked(False)
+    panel.fix_scale.setChecked(False)
     show(window, bowl(tilt_rad_per_m=8000.0))
     qtbot.waitUntil(lambda: panel._reach_mrad.value != reach_mrad)
 
 
-def test_limit_of_a_frozen_scale_is_chosen_in_the_shown_unit(make_window: MakeWindow) -> None:
+def test_limit_is_typed_on_the_bar_and_fixes_the_scale(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     panel = window.panels.wavefronts
     window.show_measurement(make_measurement(dim_frame(), views()))
     assert not panel.limit.isVisible()
-    panel.freeze_scale.click()
+    edit_limit(qtbot, panel)
     maps = panel.grid.maps
     assert maps is not None
-    assert panel.limit.isVisible()
-    assert panel.limit.value() == maps.scale.high
-    panel.limit.setValue(2.5)
-    window.show_measurement(make_measurement(dim_frame(), 10 * views(2)))
+    assert panel.limit.value() == maps.scale.high != 2.5
+    qtbot.keyClicks(panel.limit, "2.5")  # type: ignore[no-untyped-call] # pytest-qt declares no types for it
+    press(qtbot, panel.limit, Qt.Key.Key_Return)
+    assert not panel.limit.isVisible()
+    assert panel.fix_scale.isChecked()
+    window.show_measurement(make_measurement(dim_frame(), 3 * views()))
     assert panel.grid.maps is not None
-    assert (panel.grid.maps.scale.low, panel.grid.maps.scale.high) == (-2.5, 2.5)
-    panel.menu.units[1].trigger()  # waves have a limit of their own
-    assert panel.limit.value() == panel.grid.maps.scale.high != 2.5
-    panel.menu.units[0].trigger()
-    assert panel.limit.value() == 2.5
+    assert (panel.grid.maps.scale.high, panel.grid.maps.scale.title) == (2.5, "rad fixed")
+    panel.fix_scale.trigger()
+    window.show_measurement(make_measurement(dim_frame(), 3 * views()))
+    assert panel.grid.maps.scale.high > 2.5
+
+
+def edit_limit(qtbot: QtBot, panel: WavefrontPanel) -> None:
+    """Click on the colour bar."""
+    assert panel.grid.maps is not None
+    click(qtbot, panel.grid, panel.grid._bar(panel.grid.maps).center())
+    assert panel.limit.isVisible()
+    panel.limit.selectAll()
+
+
+def with_errors(wavefront: Wavefront, sigma_rad: Floats) -> Wavefront:
+    return replace(wavefront, sigma_source=lambda: sigma_rad)
+
+
+def test_tiles_show_the_error_and_hatch_what_is_not_well_known(make_window: MakeWindow, qtbot: QtBot) -> None:
+    """A value is hatched where its error exceeds a tenth of the value of its view."""
+    window = make_window()
+    panel, wavefront = window.panels.wavefronts, bowl()
+    value_rad = float(rms(wavefront.views)[0, 0])
+    sigma_rad = np.full(wavefront.views.shape, 0.05 * value_rad)
+    sigma_rad[0, 0, 2, 5] = 0.11 * value_rad
+    show(window, with_errors(wavefront, sigma_rad))
+    qtbot.waitUntil(lambda: panel._numbers is not None and panel._numbers.sigma_rad is not None)
+    show(window, with_errors(wavefront, sigma_rad))  # the next frame
+    panel.show_numbers()
+    maps = panel.grid.maps
+    assert maps is not None
+    assert maps.unsure is not None
+    assert np.argwhere(maps.unsure).tolist() == [[0, 0, 2, 5]]
+    error = number(0.05 * value_rad, 1)
+    assert panel.grid.captions[1, 1][0][2].endswith(f" \N{PLUS-MINUS SIGN} {error} rad")
+    mean_rad = np.sqrt((sigma_rad**2).mean(axis=(2, 3))).mean()
+    assert window.shown.sigma_rad == pytest.approx(mean_rad)
 
 
 def curve(*rms_rad: float) -> StructureCurve:

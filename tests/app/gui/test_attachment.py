@@ -164,7 +164,7 @@ def test_silence_of_the_instrument_is_shown_until_it_answers(
         qtbot.waitUntil(lambda: line.devices.text() == "instrument frozen")
         qtbot.waitUntil(lambda: "does not answer: if that lasts, end it" in said_in(window))
         assert not controls.isEnabled()
-        assert controls.light.text() == "Light not\nreached"
+        assert controls.light.text() == "Light not reached"
         assert line.rate.text() == NOTHING
     qtbot.waitUntil(lambda: line.devices.text() == "running")
     assert controls.isEnabled()
@@ -311,7 +311,7 @@ def test_killed_instrument_is_no_dead_end(
     qtbot.waitUntil(lambda: "should be off; if it shines, switch it off by hand" in said_in(window))
     assert said_in(window).endswith("reconnect (ctrl+r)")
     assert "shut down" not in window.messages.log
-    assert window.controls.light.text() == "Light not\nreached"
+    assert window.controls.light.text() == "Light not reached"
     qtbot.waitUntil(lambda: not bar.recover.isHidden())
     assert not window.recording_panel.record.isChecked()
     assert bar.replay.isHidden()

@@ -203,15 +203,15 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
     at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
     menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "116 of 117")  # the wavefront goes on
+    qtbot.waitUntil(lambda: window.verdict.valid == "116 of 117")  # the wavefront goes on
     assert window._status is not None
     assert window._status.bench_in_force.registration.excluded == ((3, 5),)  # saved and recorded with the bench
-    assert "1 lost: excluded by hand" in window.status_line.valid.toolTip()
+    assert "1 lost: excluded by hand" in window.verdict.toolTip()
     window.panels.lenslet.inspect(3, 5)
     qtbot.waitUntil(lambda: lenslet.exclude.text() == "Use again")
     assert lenslet.name.text() == "Lenslet row 3, column 5: lost, excluded by hand"
     lenslet.exclude.click()
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     qtbot.waitUntil(lambda: lenslet.exclude.text() == "Exclude")
 
 

@@ -186,14 +186,14 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     panel.reset_zoom()
     panel.use_tool("exclude")
     drag(panel, (140, 105), (290, 195))  # columns 4 ... 8, rows 3 ... 5
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "102 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "102 of 117")
     drag(panel, (140, 105), (230, 135))  # excluded already: as before
     qtbot.waitUntil(lambda: window.controller.is_settled)
     assert window._status is not None
     assert len(window._status.bench_in_force.registration.excluded) == 15
     panel.use_tool("use again")
     drag(panel, (140, 105), (290, 195))
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     assert window._status.bench_in_force.registration.excluded == ()
     panel.use_tool("exclude")
     drag(panel, (1, 1), (428, 298))  # all
@@ -204,4 +204,4 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     assert window._status.reference.validity == "good"
     panel.use_tool("use again")
     drag(panel, (1, 1), (428, 298))
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")

@@ -16,6 +16,7 @@ from support.wavefronts import modal
 from support.window_tools import MakeWindow, click, dim_frame, tab, views
 
 from app.gui.panels.coefficients import CoefficientsPanel
+from app.gui.panels.history import _ticks
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.results.history import DELAY, RMS, TEMPERATURE, sample
@@ -102,11 +103,11 @@ def test_click_on_a_bar_maps_and_records_it_until_the_next_click(window: MainWin
     assert list(window.panels.history.charts) == [RMS]
 
 
-def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow, qtbot: QtBot) -> None:
+def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow) -> None:
     history = window.panels.history
     open_tab(window, "History")
     for name in (DELAY, TEMPERATURE):
-        click(qtbot, history.toggles[name], history.toggles[name].rect().center())
+        history.toggles[name].trigger()
     for index in range(5):
         history.add(10.0 * index, {RMS: 1.0 + index, DELAY: 4.0, TEMPERATURE: -65.0})
     assert list(history.charts) == [RMS, DELAY, TEMPERATURE]
@@ -135,20 +136,31 @@ def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
     open_tab(window, "History")
     for index in range(120):
         history.add(index / 5, {RMS: 100.0 if index < 20 else 2.0 + (index % 2)})
-    mean, peak_to_peak = (one.text() for one in history.charts[RMS].drift)
-    assert (mean, peak_to_peak) == ("mean 2.500  \N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
+    mean, sigma, peak_to_peak = history.charts[RMS].drift.text().split(", ")
+    assert (mean, sigma, peak_to_peak) == ("mean 2.500", "\N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
     history.samples.setCurrentIndex(history.samples.findData(500))
-    assert history.charts[RMS].drift[1].text() == "peak to peak 98"
+    assert history.charts[RMS].drift.text().endswith("peak to peak 98")
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "drift"), ""))
-    history.export.click()
+    history.export_csv()
     qtbot.waitUntil(lambda: "drift.csv" in window.messages.log)
     assert len((tmp_path / "drift.csv").read_text().splitlines()) == 121
+
+
+def test_history_has_a_gap_at_a_pause_and_ticks_that_differ(window: MainWindow) -> None:
+    history = window.panels.history
+    open_tab(window, "History")
+    for time_s, value in ((0.0, 2.0611), (0.2, 2.0612), (9.0, 2.0613), (9.2, 2.0614)):
+        history.add(time_s, {RMS: value})
+    chart = history.charts[RMS]
+    assert chart.curve.opts["connect"].tolist() == [1, 0, 1, 0]
+    chart.plot.resize(400, 200)
+    assert [text for _, text in _ticks(2.0611, 2.0614)] == ["2.0611", "2.0614"]
 
 
 def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
     history = window.panels.history
     open_tab(window, "History")
-    click(QtBot, history.toggles[DELAY], history.toggles[DELAY].rect().center())  # type: ignore[arg-type] # static
+    history.toggles[DELAY].trigger()
     for unit, per_rad in ((0, 1.0), (1, 1 / (2 * np.pi)), (2, 462 / (2 * np.pi))):
         window.panels.wavefronts.menu.units[unit].trigger()
         window.show_measurement(measurement(0.5))

@@ -52,8 +52,13 @@ def colours(surface: SurfaceView) -> float:
 
 
 def badges(window: MainWindow) -> tuple[str, str, str]:
-    camera, wavefront, lenslet = window.panels.camera.badge, window.panels.wavefronts.stale, window.panels.lenslet.name
-    return camera.text() if camera.isVisible() else "", wavefront.text(), lenslet.text()
+    camera, wavefront, lenslet = (
+        window.panels.camera.badge,
+        window.panels.wavefronts._summary,
+        window.panels.lenslet.name,
+    )
+    stale = "" if wavefront.text().startswith("mean RMS") else wavefront.text()
+    return camera.text() if camera.isVisible() else "", stale, lenslet.text()
 
 
 def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:

@@ -57,19 +57,18 @@ def test_crossing_is_told_once_and_noise_at_the_limit_is_one_crossing(
     beeps: list[int] = []
     monkeypatch.setattr(QApplication, "beep", lambda: beeps.append(1))
     panel = window.panels.history
-    line = window.status_line
-    assert line._of_limits.isHidden()
+    assert "RMS" not in window.verdict.toolTip()
     set_limits(panel, RMS, highest="1")
     assert follow(window, RMS, (0.0, 0.5)) == []
-    assert (line.limits.text(), line._of_limits.isHidden()) == ("pass", False)
+    assert "RMS 0.500 rad is within its limits" in window.verdict.toolTip()
     noisy = [(0.2 + index / 5, 1.2 - 0.4 * (index % 2)) for index in range(20)]
     assert follow(window, RMS, *noisy) == ["RMS 1.20 rad is above its limit of 1.00 rad"]
-    assert line.limits.text() == "fail"
+    assert window.verdict.text().startswith("BEYOND LIMITS")
+    assert window.verdict.property("tone") == theme.tone(theme.RED)
     assert "above its limit" in window.messages.text.text()
     assert follow(window, RMS, (5.0, 0.9), (5.7, 0.9)) == []  # last beyond at 3.8 s
     assert follow(window, RMS, (5.9, 0.9)) == ["within the limits again: RMS"]
-    assert line.limits.text() == "pass"
-    assert line.limits.property("tone") == theme.tone(theme.GREEN)
+    assert not window.verdict.text().startswith("BEYOND LIMITS")
     assert follow(window, RMS, (6.1, 1.1)) == ["RMS 1.10 rad is above its limit of 1.00 rad"]
     assert not beeps
     panel.form.beep.click()
@@ -131,7 +130,7 @@ def test_former_limits_hold_while_texts_are_refused(window: MainWindow, lowest: 
     window.shown.unit = Unit.NM
     assert panel.form.limits()[RMS].highest == 1
     assert follow(window, RMS, (0.0, 5.0)) != []
-    assert window.status_line.limits.text() == "fail"
+    assert window.shown.verdict.text == "fail"
     set_limits(panel, RMS)
     assert panel.form.limits() == {}
 
@@ -165,7 +164,8 @@ def test_pinned_coefficient_has_limits_until_another_is_pinned(window: MainWindo
 
 
 def is_judged(window: MainWindow, verdict: str) -> bool:
-    return window.status_line.limits.text() == verdict
+    word = "BEYOND LIMITS" if verdict == "fail" else ""
+    return window.shown.verdict.text == verdict and window.verdict.text().startswith(word)
 
 
 @pytest.mark.slow

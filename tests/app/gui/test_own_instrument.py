@@ -91,7 +91,7 @@ def other_toml(small_toml: Path, tmp_path: Path) -> Path:
 
 
 def is_measured(window: MainWindow) -> bool:
-    return window.status_line.valid.text() == "35 of 35"
+    return window.verdict.valid == "35 of 35"
 
 
 def is_dark(window: MainWindow) -> bool:

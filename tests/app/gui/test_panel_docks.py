@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from PyQt6.QtCore import QByteArray, QRect, QSettings, Qt
-from PyQt6.QtWidgets import QApplication, QMenu, QToolButton
+from PyQt6.QtWidgets import QApplication, QMenu, QTabBar
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, click, dim_frame, press, tab, tabs, views
@@ -50,9 +50,12 @@ def check_same(found: Layout, expected: Layout) -> None:
             assert all(abs((now or 0) - (was or 0)) <= 6 for now, was in edges), title
 
 
-def press_button(of: Dock, tool_tip: str) -> None:
-    found = next(one for one in of.bar.findChildren(QToolButton) if one.toolTip().startswith(tool_tip))
-    click(QtBot, found, found.rect().center())  # type: ignore[arg-type] # its mouse methods are static
+def choose_more(of: Dock, text: str) -> None:
+    """Choose an entry of a panel's own menu."""
+    found = of.more.menu()
+    assert found is not None
+    found.aboutToShow.emit()
+    next(action for action in found.actions() if action.text().startswith(text)).trigger()
     QApplication.processEvents()
 
 
@@ -86,15 +89,21 @@ def test_closed_panels_leave_a_hint(window: MainWindow) -> None:
     assert not hint.isVisible()
 
 
-def test_default_layout_has_wavefronts_beside_camera_and_tabs(window: MainWindow) -> None:
+def test_default_layout_has_controls_beside_the_camera_and_wavefronts_at_the_right(window: MainWindow) -> None:
+    choose(window, "&View", "Restore default layout")
     place = {title: geometry for title, (geometry, _, _) in layout(window).items()}
     camera, wavefronts, quality, controls = (place[title] for title in ("Camera", "Wavefronts", "Quality", "Controls"))
-    assert camera.width() == pytest.approx(wavefronts.width(), abs=12)
-    assert camera.right() < wavefronts.left()
-    assert camera.bottom() < quality.top()
-    assert quality.width() == camera.width()
-    assert max(quality.bottom(), wavefronts.bottom()) < controls.top()
-    assert controls.width() == window.width()
+    assert camera.right() < controls.left() < controls.right() < wavefronts.left()
+    assert max(camera.bottom(), controls.bottom()) < quality.top()
+    assert quality.width() == pytest.approx(camera.width() + controls.width(), abs=12)
+    assert (wavefronts.top(), wavefronts.bottom()) == (camera.top(), quality.bottom())
+
+
+def test_restored_layout_leaves_no_second_row_of_tabs(window: MainWindow) -> None:
+    for _ in range(2):
+        choose(window, "&View", "Restore default layout")
+    layout(window)
+    assert [bar.isVisible() for bar in window.findChildren(QTabBar) if bar.count()].count(True) == 1
 
 
 def test_tab_shows_its_panel_and_hides_the_others(window: MainWindow) -> None:
@@ -108,16 +117,16 @@ def test_tab_shows_its_panel_and_hides_the_others(window: MainWindow) -> None:
 def test_header_floats_and_docks_a_panel(window: MainWindow, title: str) -> None:
     before = layout(window)
     chosen = dock(window, title)
-    press_button(chosen, "Float")
+    choose_more(chosen, "Float")
     assert chosen.isFloating()
     assert chosen.panel.isVisible()
-    press_button(chosen, "Float")
+    choose_more(chosen, "Float")
     check_same(layout(window), before)
 
 
 def test_closed_panel_returns_from_the_menu(window: MainWindow) -> None:
     before = layout(window)
-    press_button(dock(window, "Camera"), "Close")
+    choose_more(dock(window, "Camera"), "Close")
     assert not window.panels.camera.isVisible()
     choose(window, "Panels", "Camera")
     check_same(layout(window), before)
@@ -145,6 +154,7 @@ def test_last_tab_gets_its_title_back(window: MainWindow) -> None:
 
 
 def test_default_layout_is_restored_from_the_menu(window: MainWindow) -> None:
+    choose(window, "&View", "Restore default layout")
     before = layout(window)
     dock(window, "Wavefronts").setFloating(True)
     dock(window, "Camera").close()
@@ -204,7 +214,7 @@ def test_entries_show_the_state_of_their_buttons(window: MainWindow, live: tuple
         return {one.text(): (one.isEnabled(), one.isChecked()) for one in menu(of, title).actions()}
 
     assert entries(window, "&Bench")["Take a dark"] == (False, False)  # no devices
-    window.panels.camera.arrows_toggle.click()
+    window.panels.camera.arrows_toggle.trigger()
     assert entries(window, "&View")["Arrows"] == (True, False)
     assert entries(window, "&View")["Lattice"] == (True, True)
     connected, _ = live

@@ -217,7 +217,7 @@ def test_saved_seconds_and_recent_recordings(make_window: MakeWindow, qtbot: QtB
     window.connect_devices()
     window.recording_bar.recordings_folder = tmp_path / "runs"
     qtbot.waitUntil(lambda: window.controller.is_settled)
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     press(qtbot, window, Qt.Key.Key_K)
     qtbot.waitUntil(lambda: window.recording_bar.folder is not None)
     folder = window.recording_bar.folder

@@ -54,7 +54,7 @@ def window(qapp: QApplication, qtbot: QtBot, recording: Recording, played: list[
     shown.resize(1200, 800)
     shown.show()
     shown.open(InstrumentFactory(make, player.begin, player))
-    qtbot.waitUntil(lambda: shown.status_line.valid.text() == "35 of 35")
+    qtbot.waitUntil(lambda: shown.verdict.valid == "35 of 35")
     yield shown
     shown.close()
     shown.deleteLater()
@@ -168,7 +168,7 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     assert controls.choices["readout_speed"].currentText() == "3"  # as recorded
     assert window.replay.badge.isVisible()
     assert not controls.start.isVisible()  # the bar has its own
-    assert controls.light.text() == "Light\nwas on"
+    assert controls.light.text() == "Light was on"
     assert not controls.light.isChecked()  # no red edge
     before = counts(window)
     press(qtbot, window, Qt.Key.Key_L)  # the light
@@ -217,7 +217,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
     player = Player(own_recording.folder)
     window.open(InstrumentFactory(player.acquisition, player.begin, player))
     qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
+    qtbot.waitUntil(lambda: window.verdict.valid == "35 of 35")
     named = describe(own_recording.folder, name="mouse 7", note="")
     before = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > before + 2 * FRAMES)
@@ -304,7 +304,7 @@ def test_replayed_frame_has_its_own_light_name_and_time(window: MainWindow, qtbo
     qtbot.waitUntil(lambda: bar.play.text() == "Pause")
     bar.play.click()
     qtbot.waitUntil(lambda: bar.play.text() == "Play")
-    for position, light in ((1, "Light\nwas off"), (5, "Light\nwas on")):
+    for position, light in ((1, "Light was off"), (5, "Light was on")):
         bar.slider.setValue(position)
         qtbot.waitUntil(partial(is_at, window, faulty, position))
         qtbot.waitUntil(lambda light=light: window.controls.light.text() == light)  # type: ignore[misc] # mypy and defaults

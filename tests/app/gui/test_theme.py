@@ -13,6 +13,7 @@ from support.window_tools import picture, tabs
 
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
+from app.gui.widgets.presentation import colour_table, diverging
 
 
 class Desktop(QObject):
@@ -58,6 +59,41 @@ def test_theme_follows_the_desktop_and_is_legible(qapp: QApplication, desktop: D
         for behind in (theme.BACKGROUND, theme.SURFACE):
             darker, lighter = sorted((luminance(text), luminance(behind)))
             assert (lighter + 0.05) / (darker + 0.05) >= 4.5, (text.name(), behind.name())
+
+
+def contrast(one: QColor, other: QColor) -> float:
+    """Contrast of WCAG 2.1."""
+    darker, lighter = sorted((luminance(one), luminance(other)))
+    return (lighter + 0.05) / (darker + 0.05)
+
+
+@pytest.mark.usefixtures("restored_theme")
+@pytest.mark.parametrize("name", ["dark", "light"])
+def test_lines_maps_and_arrows_have_contrast(qapp: QApplication, name: str) -> None:
+    theme.styled_application()
+    theme.use_theme(qapp, name)
+    grounds = theme.BACKGROUND, theme.SURFACE
+    texts = theme.TEXT, theme.DIM, theme.ACCENT, theme.GREEN, theme.AMBER, theme.RED
+    assert min(contrast(text, ground) for text in texts for ground in grounds) >= 4.5
+    assert contrast(theme.TEXT, theme.RAISED) >= 4.5  # on buttons
+    assert contrast(theme.TEXT, theme.CHECKED) >= 4.5
+    assert contrast(theme.BACKGROUND, theme.AMBER) >= 4.5  # a badge
+    lines = theme.LINE, theme.ACCENT, theme.GREEN, theme.AMBER, theme.RED
+    assert min(contrast(line, ground) for line in lines for ground in grounds) >= 3
+    assert contrast(theme.LIT, theme.CHECKED) >= 3  # the lamp on its button
+    table = colour_table(diverging(1.0, "rad").colours)
+    assert min(contrast(QColor.fromRgb(int(colour)), theme.BACKGROUND) for colour in table) >= 3
+    black, white = QColor("black"), QColor("white")
+    for drawn in (theme.ACCENT_ON_IMAGE, theme.GREEN_ON_IMAGE, theme.AMBER_ON_IMAGE, theme.RED_ON_IMAGE):
+        assert contrast(drawn, black) >= 3
+    assert contrast(black, white) >= 3  # the edge of an arrow over a bright spot
+    of_lines = blend(theme.ACCENT_ON_IMAGE, black, 150 / 255)
+    assert contrast(of_lines, black) >= 3  # the lattice
+
+
+def blend(colour: QColor, ground: QColor, share: float) -> QColor:
+    pairs = zip(colour.getRgb()[:3], ground.getRgb()[:3], strict=True)
+    return QColor(*(round(share * (one or 0) + (1 - share) * (other or 0)) for one, other in pairs))
 
 
 def share(window: QWidget, colour: str) -> int:

@@ -90,8 +90,8 @@ def test_captions_ignore_lenslets_without_value(make_window: MakeWindow, qtbot: 
     window.show_measurement(make_measurement(dim_frame(), shown))
     qtbot.waitUntil(lambda: bool(window.panels.wavefronts.grid.captions))
     captions = window.panels.wavefronts.grid.captions
-    assert captions[0, 0][0][0] == "RMS \N{EN DASH}   PV \N{EN DASH}"
-    assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00   PV 2.00"}
+    assert captions[0, 0][0][0] == "RMS \N{EN DASH} rad, PV \N{EN DASH}"
+    assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00 rad, PV 2.00"}
     assert window.panels.wavefronts._summary.text() == "mean RMS 1.00 rad"
     picture(window.panels.wavefronts.grid)
 
@@ -115,13 +115,13 @@ def test_largest_number_stands_at_the_top_of_the_colour_bar(
     assert ink[: ink.size // 3].sum() > 100 + 2 * ink[ink.size // 3 :].sum()
 
 
-@pytest.mark.parametrize(("height", "lines"), [(400, 2), (230, 1), (160, 0)])
-def test_captions_give_way_line_by_line(qtbot: QtBot, height: int, lines: int) -> None:
+@pytest.mark.parametrize(("height", "has_captions"), [(400, True), (230, True), (120, False)])
+def test_captions_give_way_to_small_views(qtbot: QtBot, height: int, has_captions: bool) -> None:
     grid = ViewGrid((10, 10))
     qtbot.addWidget(grid)
     grid.resize(420, height)
     show(grid, np.zeros((3, 3, 15, 15)), 1.0)
-    assert grid.places.caption_lines == lines
+    assert grid.places.has_captions == has_captions
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ def test_inspected_lenslet_is_forgotten_with_its_bench(live: tuple[MainWindow, F
     assert lenslet.lenslet is None
     assert window.shown.wavefront is None
     assert not panel._inspected_box.isVisible()
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "35 of 35")
+    qtbot.waitUntil(lambda: window.verdict.valid == "35 of 35")
     assert "display failed" not in window.messages.log
 
 
@@ -50,7 +50,7 @@ def test_error_in_a_refresh_is_shown_once(
     assert window.messages.log.count("display failed") == 1
     assert len(printed) == 1
     window.messages.escape()
-    qtbot.waitUntil(lambda: window.status_line.valid.text() == "117 of 117")
+    qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     assert window.messages.log.count("display failed") == 1
 
 

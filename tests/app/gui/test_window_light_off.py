@@ -181,7 +181,7 @@ def test_button_works_while_a_frame_is_reconstructed(
     light = window.controls.light
     with blocked_reconstruction(monkeypatch):
         light.click()
-        assert light.text().startswith("Switching\noff")
+        assert light.text().startswith("Switching off")
         qtbot.waitUntil(lambda: not camera.light.shines)
         qtbot.waitUntil(lambda: light.text() == "Light off" and not light.isChecked())
     light.click()

@@ -29,7 +29,7 @@ def by_hand(make_window: MakeWindow, qtbot: QtBot) -> tuple[MainWindow, ManualLi
     camera.light = light  # type: ignore[assignment] # the camera sees whether it is on
     window = make_window()
     window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(camera))))
-    qtbot.waitUntil(lambda: window.controls.light.text() == "Light\nby hand")
+    qtbot.waitUntil(lambda: window.controls.light.text() == "Light by hand")
     qtbot.waitUntil(lambda: camera.is_running and window.controller.is_settled)
     window.activateWindow()
     return window, light
@@ -52,7 +52,7 @@ def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualL
     window.messages.accept.click()
     qtbot.waitUntil(lambda: says(window, "Switch the light on by hand"))  # after the dark
     assert not light.is_on
-    assert window.controls.light.text() == "Light\nnoted off"
+    assert window.controls.light.text() == "Light noted off"
     qtbot.waitUntil(lambda: window._status is not None and window._status.dark.validity == "good")
     window.messages.discard.click()
     assert not light.is_on
@@ -61,13 +61,13 @@ def test_dark_and_reference_ask_for_the_light(by_hand: tuple[MainWindow, ManualL
     press(qtbot, window, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: window._status is not None and window._status.reference.validity == "good")
     assert light.is_on
-    assert window.controls.light.text() == "Light\nby hand"
+    assert window.controls.light.text() == "Light by hand"
 
 
 def test_button_notes_only_what_was_confirmed(by_hand: tuple[MainWindow, ManualLight], qtbot: QtBot) -> None:
     window, light = by_hand
     window.controls.light.click()
-    assert window.controls.light.text() == "Light\nby hand"
+    assert window.controls.light.text() == "Light by hand"
     assert window.controls.light.isChecked()
     window.messages.discard.click()
     assert light.is_on
