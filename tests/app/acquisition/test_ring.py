@@ -15,7 +15,7 @@ from app.acquisition.serialization import Message, unpacked
 from app.acquisition.streams.ring import RingReader, RingWriter
 
 
-@pytest.fixture(params=["memory", "file"])
+@pytest.fixture(params=["memory", pytest.param("file", marks=pytest.mark.posix)])
 def ring(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[RingWriter]:
     with monkeypatch.context() as elsewhere:
         if request.param == "file":  # as on other systems than Linux
@@ -116,6 +116,7 @@ def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
         thread.join()
 
 
+@pytest.mark.posix  # Windows has no file of it
 def test_another_file_is_no_ring(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.write_bytes(b"x" * 1000)

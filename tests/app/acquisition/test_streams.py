@@ -46,7 +46,10 @@ def port() -> Iterator[int]:
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         free.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # as ZeroMQ's, which may listen there
-        yield int(free.getsockname()[1])
+        port = int(free.getsockname()[1])
+        if sys.platform == "win32":  # where ZeroMQ shares no port
+            free.close()
+        yield port
 
 
 @pytest.fixture(scope="session")
@@ -294,10 +297,11 @@ def test_taken_port_ends_command(
     settings = ("--bench", small_toml, "--set", f"streams.port={port}")
     assert publisher
     assert run(monkeypatch, "measure", *settings, "--frames", "2", "--out", tmp_path / "run") == 1
-    assert f"127.0.0.1:{port}: Address already in use" in capsys.readouterr().err
+    assert re.search(f"127.0.0.1:{port}: Address (already )?in use", capsys.readouterr().err)
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.posix  # a pipe cannot be polled there
 def test_documented_subscriber_runs(publisher: Publisher, port: int, measurement: Measurement) -> None:
     example = re.search(r"```python\n(.*?)```", DOCUMENT.read_text(), re.DOTALL)
     assert example is not None
@@ -324,6 +328,7 @@ def _can_be_read(descriptor: int) -> bool:
     return bool(poller.poll(50))
 
 
+@pytest.mark.posix
 def test_without_port_no_socket_is_opened(stream_bench: Bench, port: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(zmq, "Context", lambda: pytest.fail("a socket was made"))
     with running(stream_bench, None):
@@ -344,14 +349,14 @@ def _listening(port: int) -> list[str]:
 def test_taken_port_is_one_sentence(stream_bench: Bench, port: int) -> None:
     with (
         running(stream_bench, port),
-        pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address already in use; change streams.port"),
+        pytest.raises(RunError, match=rf"127.0.0.1:{port}: Address (already )?in use; change streams.port"),
         running(stream_bench, port),
     ):
         pass
 
 
 def test_foreign_address_is_one_sentence(stream_bench: Bench, port: int) -> None:
-    with pytest.raises(RunError, match="assign"), running(stream_bench, port, "192.0.2.1"):
+    with pytest.raises(RunError, match=r"assign|not available"), running(stream_bench, port, "192.0.2.1"):
         pass
 
 

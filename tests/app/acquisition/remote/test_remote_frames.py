@@ -89,6 +89,7 @@ def test_every_frame_comes_once_and_in_order_and_those_overtaken_are_counted(
         assert frames.overtaken == 7
 
 
+@pytest.mark.posix
 def test_memory_that_cannot_be_opened_is_told(frames: RemoteFrames, monkeypatch: pytest.MonkeyPatch) -> None:
     """As from another container."""
     monkeypatch.setattr("app.acquisition.remote.frames._REPLACED_S", 0.0)
