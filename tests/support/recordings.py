@@ -69,7 +69,7 @@ def edit_line(recording: Recording, index: int, **changes: Any) -> None:
     path = recording.folder / "frames.jsonl"
     lines = path.read_text().splitlines()
     lines[index] = json.dumps({**json.loads(lines[index]), **changes})
-    path.write_text("".join(line + "\n" for line in lines))
+    path.write_text("".join(line + "\n" for line in lines), newline="\n")
 
 
 def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16]) -> None:
@@ -78,7 +78,7 @@ def replace_pixels(recording: Recording, index: int, pixels: NDArray[np.uint16])
     path = recording.folder / "frames.jsonl"
     lines = path.read_text().splitlines(keepends=True)
     lines[index] = re.sub('"crc32": "[0-9a-f]{8}"', f'"crc32": "{checksum(pixels)}"', lines[index])
-    path.write_text("".join(lines))
+    path.write_text("".join(lines), newline="\n")
 
 
 def replace_values(recording: Recording, index: int, name: str, values: NDArray[Any]) -> None:
