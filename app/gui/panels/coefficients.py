@@ -206,6 +206,8 @@ class _Table(QTableWidget):
                 item = self.item(index, at)
                 if item is None:
                     item = QTableWidgetItem()
+                    if at:  # a number
+                        item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                     self.setItem(index, at, item)
                 item.setText(text)
 

@@ -137,10 +137,7 @@ class HistoryPanel(Panel):
         return (("Save all series as CSV", self.export_csv),)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        return {
-            "&File": (("Export the history", "", self.export_csv),),
-            "&View": (("Limits of the history", "", self.form.show),),
-        }
+        return {"&View": (("Limits of the history", "", self.form.show),)}
 
     def export_csv(self) -> None:
         path = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")

@@ -131,7 +131,6 @@ class PanelDocks:
         self.docks = tuple(map(Dock, panels))
         self._tabs = [dock for dock in self.docks if dock.panel.is_tab]
         self._fixed = [dock for dock in self.docks if not dock.panel.is_tab]
-        self._closed: list[Dock] = []  # by `toggle_tabs`
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
         self.settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
@@ -171,13 +170,6 @@ class PanelDocks:
             [camera, first], [upper, max(window.height() - _AROUND_PX - upper, 1)], Qt.Orientation.Vertical
         )
         self._arrange()
-
-    def toggle_tabs(self) -> None:
-        """Close the open tabs, or open those closed last."""
-        is_open = [dock for dock in self._tabs if not dock.isHidden()]
-        for dock in is_open or self._closed or self._tabs:
-            dock.setVisible(not is_open)
-        self._closed = is_open
 
     def float_panels(self, *panels: QWidget) -> None:
         """Make each of these panels a window of its own, so that all are visible."""

@@ -212,7 +212,6 @@ class MainWindow(QMainWindow):
                 ("Next frame of a replay", ".", self.replay.forth),
                 None,
                 ("Panels", "", self.docks.menu()),
-                ("Plots", "I", self.docks.toggle_tabs),
                 ("Restore default layout", "", self.docks.restore_default),
                 *preferences,
                 ("Full screen", "F11", lambda: self.setWindowState(self.windowState() ^ full)),

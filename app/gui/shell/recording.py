@@ -219,7 +219,8 @@ class RecordingBar(QFrame):
         is_starting = self._starting is not None and not self._starting.done()
         if state is not None and not state.is_over and self._controller.is_lost:
             state = replace(state, stage="ended early", problem=_CUT_OFF)
-        self._panel.show_state(state, self._free_minutes, is_starting=is_starting)
+        is_replay = acquisition.status is not None and acquisition.status.is_replay  # which records nothing
+        self._panel.show_state(state, math.inf if is_replay else self._free_minutes, is_starting=is_starting)
         if state is not None and state.folder != self._began:
             if self.folder is not None:
                 self._forget()

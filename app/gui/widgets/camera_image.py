@@ -233,7 +233,7 @@ class Measuring(QWidget):
         self._sensor: Sensor | None = None
         self._field: Field | None = None
         self.reading = ElidedLabel()
-        self.plot = Plot("", "px along the line, counts", widest="65000")
+        self.plot = Plot("", "position along the line (px)", widest="65000")
         self.plot.title.hide()
         self.plot.graphics.setFixedHeight(7 * self.fontMetrics().height())
         self.curve = self.plot.add_curve(theme.GREEN, 1)

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QByteArray, QRect, QSettings, Qt
 from PyQt6.QtWidgets import QApplication, QMenu, QTabBar
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.window_tools import MakeWindow, click, dim_frame, press, tab, tabs, views
+from support.window_tools import MakeWindow, click, dim_frame, tab, tabs, views
 
 from app.gui.shell.docks import Dock
 from app.gui.shell.main_window import MainWindow
@@ -196,17 +196,6 @@ def test_state_of_another_layout_is_ignored(make_window: MakeWindow, settings: Q
     settings.setValue("window/panels", other.saveState(0) if is_bytes else "nonsense")
     settings.setValue("window/left", QByteArray(b"sizes of version 0.1"))
     assert layout(make_window(saved=settings)) == expected
-
-
-def test_plots_are_closed_and_opened_by_their_key(window: MainWindow, qtbot: QtBot) -> None:
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    dock(window, "Lenslet").close()
-    press(qtbot, window, Qt.Key.Key_I)
-    assert not any(state[2] for title, state in layout(window).items() if title in tabs(window))
-    press(qtbot, window, Qt.Key.Key_I)
-    assert any(state[2] for title, state in layout(window).items() if title in tabs(window))
-    assert dock(window, "Lenslet").isHidden()
 
 
 def test_entries_show_the_state_of_their_buttons(window: MainWindow, live: tuple[MainWindow, FakeCamera]) -> None:
