@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from PyQt6.QtCore import QRect, Qt, pyqtSignal
 from PyQt6.QtGui import QAction, QActionGroup, QMouseEvent
 from PyQt6.QtWidgets import QFileDialog, QMenu, QWidget
@@ -319,15 +318,12 @@ class WavefrontPanel(Panel):
                 return f"Lenslet row {row}, column {column}: {text}"
 
             measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            reach, unsure = (x_mm, y_mm), self._unsure(values.shape)
-            self._show_maps(Maps(measured, scale_of(values), at_lenslet, reach=reach, reach_unit="mm", unsure=unsure))
-
-    def _unsure(self, shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-        """Return where the error exceeds a tenth of the value of a view, of a shape; None if it is not known."""
-        numbers = self._numbers
-        if numbers is None or numbers.sigma_rad is None or numbers.sigma_rad.shape != shape:
-            return None
-        return np.asarray(numbers.sigma_rad > _UNSURE * numbers.first[..., None, None])
+            maps = Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm")
+            numbers = self._numbers
+            if numbers is not None and numbers.sigma_rad is not None and numbers.sigma_rad.shape == values.shape:
+                unsure = numbers.sigma_rad > _UNSURE * numbers.first[..., None, None]
+                maps = replace(maps, unsure=unsure, sigma=numbers.sigma_rad * self._factor)
+            self._show_maps(maps)
 
     def _follow(self, scale: AdaptiveScale, needed: float) -> None:
         if not (self.fix_scale.isChecked() and scale.is_set):

@@ -207,7 +207,7 @@ class EnlargedView(QDialog):
         if maps is not None and maps.values.size:
             rows, columns = maps.values.shape[:2]
             i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
-            one = replace(maps, values=maps.values[i : i + 1, j : j + 1])
+            one = maps.only(i, j)
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
         self.map.has_contours, self.map.is_stale = self.contour_toggle.isChecked(), self._grid.is_stale
         for plot in (self.across, self.down):
@@ -241,5 +241,5 @@ class EnlargedView(QDialog):
         self.across.title.setText(f"Along x, at y = {number(float(y[row_at]))} {unit} ({maps.scale.title})")
         self.down.title.setText(f"Along y, at x = {number(float(x[column_at]))} {unit} ({maps.scale.title})")
         step = f"; contours every {number(contour_step(high), 1)} {maps.scale.title}" * self.map.has_contours
-        described = maps.describe(row_at, column_at, float(values[row_at, column_at]))
+        described = maps.text_at((0, 0), row_at, column_at)
         self.text.setText(described + step)

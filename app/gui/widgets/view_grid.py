@@ -5,7 +5,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
 from app.gui.widgets.copies import add_copy_menu, as_table
-from app.gui.widgets.presentation import ColourScale, colour_table
+from app.gui.widgets.presentation import ColourScale, colour_table, number
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
 
@@ -44,6 +44,22 @@ class Maps:
     reach: tuple[float, float] = (1.0, 1.0)  # x and y of the last column's and row's middle, about the map's middle
     reach_unit: str = ""
     unsure: NDArray[np.bool_] | None = None  # values with large errors
+    sigma: Floats | None = None  # standard deviations of the values
+
+    def only(self, row: int, column: int) -> Self:
+        """Return the map of one view."""
+        part = slice(row, row + 1), slice(column, column + 1)
+        unsure = None if self.unsure is None else self.unsure[part]
+        sigma = None if self.sigma is None else self.sigma[part]
+        return replace(self, values=self.values[part], unsure=unsure, sigma=sigma)
+
+    def text_at(self, view: tuple[int, int], row: int, column: int) -> str:
+        """Describe a pixel of a view, with the error of its value if that is known."""
+        value, sigma = float(self.values[view][row, column]), math.nan
+        if self.sigma is not None and math.isfinite(value):
+            sigma = float(self.sigma[view][row, column])
+        error = f" \N{PLUS-MINUS SIGN} {number(sigma, 2)}" if math.isfinite(sigma) else ""
+        return f"{self.describe(row, column, value)}{error}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +251,7 @@ class ViewGrid(QWidget):
         inside = position - tile.topLeft()
         row = inside.y() * values.shape[0] // tile.height()
         column = inside.x() * values.shape[1] // tile.width()
-        text = self.maps.describe(row, column, float(values[row, column]))
+        text = self.maps.text_at(view, row, column)
         return "\n".join([text, *(wordings[0] for wordings in self.captions.get(view, ()))])
 
     def table(self) -> str:
@@ -243,8 +259,10 @@ class ViewGrid(QWidget):
         if self.maps is None:
             return ""
         at = np.indices(self.maps.values.shape).reshape(4, -1)
-        heads = "view row", "view column", "row", "column", f"value ({self.maps.scale.title.split()[0]})"
-        return as_table(heads, np.vstack([at, self.maps.values.reshape(1, -1)]).T)
+        unit = self.maps.scale.title.split()[0]
+        heads = ["view row", "view column", "row", "column", f"value ({unit})", f"standard deviation ({unit})"]
+        values = [each.ravel() for each in (self.maps.values, self.maps.sigma) if each is not None]
+        return as_table(heads[: 4 + len(values)], np.vstack([at, *values]).T)
 
     def _numbers_at(self, position: QPoint) -> str:
         """Return the map at a position, or the selected one, as a table."""

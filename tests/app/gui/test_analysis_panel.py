@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FIELD, SENSOR, FakeCamera, make_measurement
 from support.patience import HANG_S
@@ -19,6 +19,7 @@ from support.window_tools import LENSLETS, MakeWindow, click, dim_frame, part, p
 from app.gui.panels.quality import verdict
 from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.shell.main_window import MainWindow
+from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.presentation import PRESENTATIONS, colour_table, number
 from app.results.view_maps import Quantity, QuantityMaps, quantity_maps
 from reconstruction.arrays import Floats
@@ -268,7 +269,7 @@ def edit_limit(qtbot: QtBot, panel: WavefrontPanel) -> None:
 
 
 def with_errors(wavefront: Wavefront, sigma_rad: Floats) -> Wavefront:
-    return replace(wavefront, sigma_source=lambda: sigma_rad)
+    return replace(wavefront, sigma_source=lambda: sigma_rad)  # type: ignore[arg-type] # a stand-in
 
 
 def test_tiles_show_the_error_and_hatch_what_is_not_well_known(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -286,6 +287,23 @@ def test_tiles_show_the_error_and_hatch_what_is_not_well_known(make_window: Make
     assert maps is not None
     assert maps.unsure is not None
     assert np.argwhere(maps.unsure).tolist() == [[0, 0, 2, 5]]
+    tile = panel.grid.places.tile(0, 0)
+    at = QPoint((2 * 5 + 1) * tile.width() // (2 * 13), (2 * 2 + 1) * tile.height() // (2 * 9))  # of 9 x 13 lenslets
+    under_cursor = f" rad \N{PLUS-MINUS SIGN} {number(0.11 * value_rad, 2)}"
+    assert panel.grid._value_at(tile.topLeft() + at).splitlines()[0].endswith(under_cursor)
+    heads, *rows = panel.grid.table().splitlines()
+    assert heads.endswith("value (rad)\tstandard deviation (rad)")
+    np.testing.assert_allclose([float(row.split("\t")[-1]) for row in rows], sigma_rad.ravel(), rtol=1e-6)
+    panel.grid.selected.emit(1, 1)
+    panel.enlarge()
+    panel.grid.select((1, 1))
+    enlarged = window.findChild(EnlargedView)
+    assert enlarged is not None
+    enlarged.refresh()
+    assert enlarged.map.maps is not None
+    assert enlarged.map.maps.unsure is not None
+    assert not enlarged.map.maps.unsure.any()  # those of the first view are not its own
+    assert f" \N{PLUS-MINUS SIGN} {number(0.05 * value_rad, 2)}; contours" in enlarged.text.text()
     error = number(0.05 * value_rad, 1)
     assert panel.grid.captions[1, 1][0][2].endswith(f" \N{PLUS-MINUS SIGN} {error} rad")
     mean_rad = np.sqrt((sigma_rad**2).mean(axis=(2, 3))).mean()
