@@ -34,7 +34,7 @@ from app.run_facts import command_line
 from drivers.interface import Range
 
 _WIDEST = "disk space for 000 min"  # of more, the end is elided: the tool tip has it
-_STOP = "Stop"
+_STOP = "Stop REC"  # another word than that of the camera
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
 _END_MS = 3000  # for a command that is to end

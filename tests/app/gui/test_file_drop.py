@@ -147,7 +147,7 @@ def test_frame_is_refused_during_a_recording(live: tuple[MainWindow, FakeCamera]
     window, _ = live
     window.recording_bar.recordings_folder = tmp_path / "runs"
     press(qtbot, window, Qt.Key.Key_W)
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     np.save(tmp_path / "frame.npy", np.zeros((300, 430), np.uint16))
     drop(window, tmp_path / "frame.npy")
     qtbot.waitUntil(lambda: "is not shown during a recording" in window.messages.log)

@@ -61,6 +61,7 @@ def test_recording_without_frames_offers_only_its_folder(
     press(qtbot, window, Qt.Key.Key_W)
     qtbot.waitUntil(lambda: bar._stage == "recording")
     press(qtbot, window, Qt.Key.Key_W)
+    window.messages.accept.click()  # the key asks
     qtbot.waitUntil(lambda: bar.folder is not None)
     assert bar.text.text().startswith("0 frames in ")
     assert [each.isVisible() for each in (bar.open, bar.replay, bar.report, bar.export)] == [True, False, False, False]
@@ -237,5 +238,5 @@ def test_recording_in_the_dark_is_announced(live: tuple[MainWindow, FakeCamera],
     qtbot.waitUntil(lambda: not camera.light.shines and window.controls.light.text() == "Light off")
     press(qtbot, window, Qt.Key.Key_W)
     assert "Recording with the light off" in window.messages.log
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     assert window.controls.start.text() == "Stop"  # of the camera: another word

@@ -87,8 +87,9 @@ def test_second_request_ends_a_recording_that_has_not_begun(
     held = acquisition_of(window).commands.submit(lambda _: release.wait(HANG_S))
     press(qtbot, window, Qt.Key.Key_W)
     window.update_text()
-    assert window.recording_panel.record.text() == "Stop recording"
+    assert window.recording_panel.record.text() == "Stop REC"
     press(qtbot, window, Qt.Key.Key_W)
+    window.messages.accept.click()  # the key asks
     release.set()
     held.result(HANG_S)
     qtbot.waitUntil(lambda: window.controller.is_settled)

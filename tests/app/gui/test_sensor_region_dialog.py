@@ -136,7 +136,7 @@ def test_buttons_fill_in_lattice_and_whole_sensor(window: MainWindow, qtbot: QtB
 def test_region_is_refused_while_recording(window: MainWindow, qtbot: QtBot, tmp_path: Path) -> None:
     window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     window.controls.sensor_region.click()
     fill_in(window, Region(0, 0, 100, 100))
     window.region_dialog.apply.click()

@@ -33,10 +33,11 @@ def test_every_frame_between_start_and_stop_is_recorded(
     window.recording_bar.recordings_folder = tmp_path / "here"
     panel = window.recording_panel
     press(qtbot, window, Qt.Key.Key_W)
-    qtbot.waitUntil(lambda: panel.record.text() == "Stop recording")
-    qtbot.waitUntil(lambda: int(panel.text.text().split(" ")[0] or 0) > 5)
-    qtbot.waitUntil(lambda: "disk space for" in panel.text.text())
+    qtbot.waitUntil(lambda: panel.record.text() == "Stop REC")
+    qtbot.waitUntil(lambda: panel.text.text().startswith("REC 0:0") and int(panel.text.text().split()[2]) > 5)
+    qtbot.waitUntil(lambda: "disk space for" in panel.text.toolTip())
     press(qtbot, window, Qt.Key.Key_W)
+    window.messages.accept.click()  # the key asks
     qtbot.waitUntil(lambda: "Recorded" in window.messages.text.text())
     assert panel.record.text() == "Record"
     recording = only_recording(tmp_path / "here")
@@ -84,7 +85,7 @@ def test_unplugged_camera_leaves_a_complete_recording(make_window: MakeWindow, q
     window.connect_devices()
     wait_for_wavefront(qtbot, window)
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     before = first._index
     qtbot.waitUntil(lambda: first._index > before + 5)
     first.fault = Disconnected("the camera was unplugged")
@@ -105,7 +106,7 @@ def test_early_end_is_shown_until_dismissed(live: tuple[MainWindow, FakeCamera],
     window, camera = live
     window.recording_bar.recordings_folder = tmp_path
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     acquisition = window.controller.acquisition
     assert isinstance(acquisition, Acquisition)
     acquisition._recorder.stop("the disk is full")
@@ -137,7 +138,7 @@ def test_closing_the_window_finishes_the_recording(
     wait_for_wavefront(qtbot, window)
     window.recording_bar.recordings_folder = tmp_path / "runs"
     window.recording_panel.record.click()
-    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop recording")
+    qtbot.waitUntil(lambda: window.recording_panel.record.text() == "Stop REC")
     close(window)
     close(window)  # a second click meanwhile
     qtbot.waitUntil(lambda: not window.isVisible())
