@@ -216,7 +216,7 @@ def own_recording(recording: Recording, tmp_path: Path) -> Recording:
 def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(InstrumentFactory(player.acquisition, player.begin, player))
-    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
+    qtbot.waitUntil(lambda: "recording 20261122-130100" in window.windowTitle())
     qtbot.waitUntil(lambda: window.verdict.valid == "35 of 35")
     named = describe(own_recording.folder, name="mouse 7", note="")
     before = window.status_line.shown
@@ -224,7 +224,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
     assert not window.controller.failure
     window.replay.slider.setValue(3)
     qtbot.waitUntil(lambda: shown_frame(window, Recording(named)) == 3)
-    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100-mouse 7"))
+    qtbot.waitUntil(lambda: "recording 20261122-130100-mouse 7" in window.windowTitle())
 
 
 @pytest.mark.slow
@@ -232,7 +232,7 @@ def test_renamed_recording_is_played_on(window: MainWindow, qtbot: QtBot, own_re
 def test_lost_recording_is_not_blamed_on_devices(window: MainWindow, qtbot: QtBot, own_recording: Recording) -> None:
     player = Player(own_recording.folder)
     window.open(InstrumentFactory(player.acquisition, player.begin, player))
-    qtbot.waitUntil(lambda: window.windowTitle().endswith("recording 20261122-130100"))
+    qtbot.waitUntil(lambda: "recording 20261122-130100" in window.windowTitle())
     shutil.rmtree(own_recording.folder)
     end = "the replay has ended: open the recording again (Ctrl+Shift+O)"
     qtbot.waitUntil(lambda: window.messages.text.text().endswith(end))
