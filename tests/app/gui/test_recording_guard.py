@@ -47,7 +47,7 @@ def test_another_bench_waits_for_an_answer(recording: MainWindow, qtbot: QtBot, 
     window.update_text()
     assert "ends if another bench is opened" in window.messages.text.text()
     assert window.messages.text.property("tone") == theme.tone(theme.AMBER)
-    assert "Return" not in window.messages.accept.toolTip()
+    assert window.messages.accept.toolTip() == "Accept (Ctrl+Return)"
     press(qtbot, window, Qt.Key.Key_Return)
     assert window.messages.accept.isVisible()  # the question is still open
     window.messages.discard.click()
