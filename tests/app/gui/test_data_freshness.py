@@ -57,7 +57,7 @@ def badges(window: MainWindow) -> tuple[str, str, str]:
         window.panels.wavefronts._summary,
         window.panels.lenslet.name,
     )
-    stale = "" if wavefront.text().startswith("mean RMS") else wavefront.text()
+    stale = "" if wavefront.text().startswith("mean RMS") else wavefront.text().partition("; mean RMS")[0]
     return camera.text() if camera.isVisible() else "", stale, lenslet.text()
 
 
