@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
-import numba
+from reconstruction.runtime.compiler import numba
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -4,11 +4,10 @@ from collections.abc import Callable
 from typing import Any, cast
 
 import numpy as np
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.runtime.compilation import compiled
+from reconstruction.runtime.compiler import intrinsic, types
 
 Counters = NDArray[np.int64]  # numbers of items taken and finished, (2,)
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any, TypeVar, cast
 
-import numba
+from reconstruction.runtime.compiler import numba
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -11,12 +11,11 @@ from typing import Any, NamedTuple, TypeAlias, cast
 
 import numpy as np
 from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.runtime.compilation import FAST_MATH, compiled, inlined
+from reconstruction.runtime.compiler import intrinsic, types
 
 MONOMIALS = tuple((degree - n, n) for degree in range(5) for n in range(degree + 1))  # powers of u and v
 _ONE, _TWO, _THREE, _FOUR_TIMES = (np.float32(value) for value in (1, 2, 3, 4))

@@ -95,3 +95,21 @@ def test_code_depends_on_few_files() -> None:
                 read.add(path)
                 waiting += _imported(path)
         assert len(read) <= 8, kernel
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", ["CACHE_DIR: stolen", "DISABLE_JIT: 1", "x: ["])
+def test_file_of_the_working_folder_configures_no_compiler(tmp_path: Path, text: str) -> None:
+    """It could name a cache, whose files are unpickled."""
+    (tmp_path / ".numba_config.yaml").write_text(text)
+    program = (
+        "import reconstruction.runtime.counters as c, numba; print(c.take(c.new_counters()), numba.config.CACHE_DIR)"
+    )
+    environment = os.environ | {"PYTHONPATH": str(Path(reconstruction.__file__).parents[1]), "NUMBA_DISABLE_JIT": "1"}
+    environment.pop("NUMBA_CACHE_DIR", None)
+    command = [sys.executable, "-W", "error", "-c", program]
+    finished = subprocess.run(  # noqa: S603 - this interpreter
+        command, env=environment, capture_output=True, text=True, timeout=HANG_S, check=False, cwd=tmp_path
+    )
+    assert (finished.stdout.strip(), finished.stderr) == ("0", "")
+    assert [each.name for each in tmp_path.iterdir()] == [".numba_config.yaml"]
