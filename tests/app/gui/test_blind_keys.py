@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import string
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from support.window_tools import acquisition_of, press
 from app.gui.shell.main_window import MainWindow
 from app.recording.reader import Recording
 
-_KEYS = (
+_KEYS: tuple[Any, ...] = (
     *(character for character in string.printable if character.isprintable()),
     *(Qt.Key.Key_Return, Qt.Key.Key_Escape, Qt.Key.Key_Backspace, Qt.Key.Key_Delete),
     *(Qt.Key.Key_Left, Qt.Key.Key_Right, Qt.Key.Key_Up, Qt.Key.Key_Down),
@@ -42,13 +43,11 @@ def test_blind_keys_lose_nothing(live: tuple[MainWindow, FakeCamera], qtbot: QtB
     before = window.controller.status
     assert before is not None
     for _ in range(2000):
-        target, key = (
-            QApplication.focusWidget() or QApplication.activeWindow() or window,
-            _KEYS[typed.integers(len(_KEYS))],
-        )
+        target = QApplication.focusWidget() or QApplication.activeWindow() or window
+        key = _KEYS[typed.integers(len(_KEYS))]
         if key in {"l", "L"} and not isinstance(target, QLineEdit):
             continue
-        QTest.keyClick(target, key)
+        QTest.keyClick(target, key)  # type: ignore[call-overload] # PyQt's stub lacks staticmethod
         assert camera.light.shines, key
     qtbot.waitUntil(lambda: window.controller.is_settled)
     after = window.controller.status

@@ -138,7 +138,8 @@ def test_emergency_key_works_in_modal_dialogs_and_texts(
     for _ in range(2):  # never on
         handle = (dialog or window).windowHandle()
         assert handle is not None
-        QTest.keyClick(handle, key)  # as a keyboard: through shortcuts, then to the window
+        # As a keyboard: through shortcuts, then to the window.
+        QTest.keyClick(handle, key)  # type: ignore[call-overload] # PyQt's stub lacks staticmethod
         qtbot.waitUntil(lambda: not camera.light.shines)
         qtbot.waitUntil(lambda: is_settled(window))
     if dialog is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -197,7 +198,7 @@ def test_distance_and_misfit_are_tested_each(setup: Setup, layer: AssumedSample)
     """A shift of the layers shows before they leave more than noise, a misfit may have no such cause."""
     made = setup.reconstructor
 
-    def contradiction(other_m: float, seed: int, **changes: object) -> float:
+    def contradiction(other_m: float, seed: int, **changes: Any) -> float:
         wavefront = made.solve(setup.registered(behind("optimised", other_m, seed)), sample=layer)
         return made.contradiction(replace(wavefront, solution=replace(wavefront.solution, **changes)))
 
