@@ -306,7 +306,12 @@ def test_killed_instrument_is_no_dead_end(
     window.recording_panel.record.click()
     qtbot.waitUntil(lambda: (state := bar._controller.acquisition) is not None and bool(state.recording))
     bar.name.setText("mine")
-    qtbot.waitUntil(lambda: "frames" in window.recording_panel.text.text())
+
+    def frames() -> int:
+        acquisition = window.controller.acquisition
+        return 0 if acquisition is None or acquisition.recording is None else acquisition.recording.frames
+
+    qtbot.waitUntil(lambda: frames() > 0)
     gone.kill()
     qtbot.waitUntil(lambda: "should be off; if it shines, switch it off by hand" in said_in(window))
     assert said_in(window).endswith("reconnect (ctrl+r)")
