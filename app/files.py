@@ -98,7 +98,7 @@ def file_name_problem(name: str) -> str:
 
 def reachable(path: Path) -> Path:
     r"""Return a path, on Windows a long one with \\?\: without it 260 letters and more are not found."""
-    full = os.path.abspath(path)  # noqa: PTH100 - `Path.absolute` keeps "..", which is not allowed behind \\?\
+    full = os.path.abspath(path)  # noqa: PTH100 - Path.absolute keeps "..", which is not allowed behind \\?\
     if sys.platform != "win32" or len(full) < _LONG or full.startswith("\\\\?\\"):
         return path
     return Path("\\\\?\\UNC" + full[1:] if full.startswith("\\\\") else "\\\\?\\" + full)

@@ -76,10 +76,10 @@ def test_modules_import_without_posix() -> None:
 def test_tests_load_without_posix() -> None:
     """All of them, so that only the mark `posix` leaves tests out on Windows."""
     collect = ["-m", "pytest", "-p", "no:cacheprovider", "--collect-only", "-q", "tests"]
-    assert tests_of(loaded(*collect, "-p", "support.without_posix")) == tests_of(loaded(*collect))
+    assert listed_tests(loaded(*collect, "-p", "support.without_posix")) == listed_tests(loaded(*collect))
 
 
-def tests_of(listed: str) -> list[str]:
+def listed_tests(listed: str) -> list[str]:
     found = [line.partition("[")[0] for line in listed.splitlines() if "::" in line]  # a signal has another number
     assert len(found) > 4000
     return found

@@ -83,7 +83,7 @@ class CameraPanel(Panel):
         self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._adapt_contrast, key="camera/contrast")
         self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
         self._make_picture()
-        self.caption = ElidedLabel("dim", lines=2)
+        self.caption = ElidedLabel("dim", lines=2, least=2)  # the picture must not move under a drag
         self.header = row_of(self.tool, self.contrast, (QWidget(), 1))
         column((self._graphics, 1), self.measuring, self.caption, spacing=2, parent=self)
         self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")

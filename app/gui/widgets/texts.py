@@ -21,12 +21,12 @@ class ElidedLabel(QLabel):
     The text is kept from QLabel, which would request a new layout for each change.
     """
 
-    def __init__(self, role: str = "", text: str = "", *, lines: int = 1) -> None:
-        """Show a text in as many lines as it needs, at most `lines`; for `role` see `label`."""
+    def __init__(self, role: str = "", text: str = "", *, lines: int = 1, least: int = 1) -> None:
+        """Show a text in as many lines as it needs, `least` to `lines`; for `role` see `label`."""
         super().__init__()
         self.setProperty("role", role)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        self._most, self._taken, self._text = lines, 1, ""
+        self._most, self._least, self._taken, self._text = lines, least, least, ""
         self._fitted: tuple[tuple[object, ...], str] = (), ""  # what the shown text was computed for, and that text
         self._keep_room()
         self.setText(text)
@@ -67,7 +67,7 @@ class ElidedLabel(QLabel):
     def resizeEvent(self, event: QResizeEvent | None) -> None:  # noqa: N802 - Qt's name
         super().resizeEvent(event)
         if event is not None and event.size().width() != event.oldSize().width():
-            self._taken = 1
+            self._taken = self._least
             self._take_lines()
 
     def _take_lines(self) -> None:

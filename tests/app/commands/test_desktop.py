@@ -168,7 +168,7 @@ def test_the_shell_reads_the_shortcut(tmp_path: Path) -> None:
     (tmp_path / "svwfs.lnk").write_bytes(
         shortcut(program, id_list(program), ["--bench", "x"], folder=tmp_path, icon=tmp_path)
     )
-    ole = ctypes.OleDLL("ole32")  # type: ignore[attr-defined]
+    ole = ctypes.OleDLL("ole32")  # type: ignore[attr-defined] # exists on Windows only
     ole.CoInitialize(None)
     link, file = ctypes.c_void_p(), ctypes.c_void_p()
     ole.CoCreateInstance(guid(SHELL_LINK), None, 1, guid(ISHELL_LINK), ctypes.byref(link))
@@ -196,5 +196,5 @@ def method(target: Any, place: int, *arguments: Any) -> None:
     """Call a method of a COM object by its place in its table."""
     table = ctypes.cast(target, ctypes.POINTER(ctypes.POINTER(ctypes.c_void_p))).contents
     kinds = [type(each) if type(each) in {ctypes.c_int, ctypes.c_wchar_p} else ctypes.c_void_p for each in arguments]
-    prototype = ctypes.WINFUNCTYPE(ctypes.c_long, ctypes.c_void_p, *kinds)  # type: ignore[attr-defined]
+    prototype = ctypes.WINFUNCTYPE(ctypes.c_long, ctypes.c_void_p, *kinds)  # type: ignore[attr-defined] # exists on Windows only
     assert prototype(table[place])(target, *arguments) == 0

@@ -137,15 +137,13 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
 
 def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    press(qtbot, window, Qt.Key.Key_I)
+    dock = next(one for one in window.docks.docks if one.panel is window.panels.quality)
+    dock.toggleViewAction().trigger()
     assert not window.panels.quality.isVisible()
     show(window, bowl())
     qtbot.wait(200)
     assert window.analyses.of[window.panels.quality].request is None
-    assert window.panels.wavefronts.grid.selection is None
-    press(qtbot, window, Qt.Key.Key_I)
+    dock.toggleViewAction().trigger()
     qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
 
 
