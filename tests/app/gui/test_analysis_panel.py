@@ -138,12 +138,13 @@ def test_clicks_and_arrow_keys_select_the_view_of_the_mtf(make_window: MakeWindo
 def test_hidden_panel_requests_no_analysis(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
     dock = next(one for one in window.docks.docks if one.panel is window.panels.quality)
-    dock.toggleViewAction().trigger()
+    dock.close()
     assert not window.panels.quality.isVisible()
     show(window, bowl())
     qtbot.wait(200)
     assert window.analyses.of[window.panels.quality].request is None
-    dock.toggleViewAction().trigger()
+    dock.show()
+    dock.raise_()
     qtbot.waitUntil(lambda: bool(window.panels.quality.sentence.text()))
 
 
