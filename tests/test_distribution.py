@@ -23,6 +23,7 @@ EXTRAS = {  # by what they make possible
     "mask": "ezdxf, gdstk",
     "micro-manager": "pymmcore, drivers.micro_manager._core",
     "peers": "SimpleITK, reconstruction.registration.itk_affine",
+    "usb": "libusb_package",
 }
 PACKAGES = {"app", "drivers", "reconstruction", "simulated_devices", "svwfs"}
 USER_CODE = """

@@ -91,7 +91,10 @@ class LightControl:
         if acquisition is None:
             self.is_kept_off = True  # when the bench that is being read, or that has failed, connects
             return
-        has_ended, status, now_s = self._end_sequence(), acquisition.status, time.monotonic()
+        if (status := acquisition.status) is not None and status.is_replay:  # whose light is recorded
+            self._messages.alarm("this window plays a recording: press F12 in the window of the instrument")
+            return
+        has_ended, now_s = self._end_sequence(), time.monotonic()
         is_busy, is_resting = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
         if status is not None and status.bench.has_manual_light:
             if has_ended:

@@ -358,3 +358,13 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     bar.play.click()
     qtbot.waitUntil(lambda: window.status_line.shown > before + 2 * FRAMES)
     assert not window.controller.failure
+
+
+def test_light_key_does_not_touch_the_recorded_light(window: MainWindow, qtbot: QtBot) -> None:
+    press(qtbot, window, Qt.Key.Key_F12)
+    qtbot.waitUntil(lambda: "window of the instrument" in window.messages.text.text())
+    acquisition = window.controller.acquisition
+    assert acquisition is not None
+    assert not window.light.is_switching_off
+    assert acquisition.status is not None
+    assert acquisition.status.is_light_on

@@ -100,9 +100,9 @@ def test_saved_bench_holds_settings_in_force(
     assert bench.lattice == bench_of(window).lattice
     wanted = {"exposure_s": 0.04, "amplifier": "em", "readout_speed": 3}
     assert asdict(bench.camera) == asdict(bench_of(window).camera) | wanted
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path), ""))
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(saved / "b.toml"), ""))
     window.benches.save()
-    qtbot.waitUntil(lambda: "not a file" in said_in(window))
+    qtbot.waitUntil(lambda: "the folder cannot be made" in said_in(window))
 
 
 @pytest.mark.slow
