@@ -159,7 +159,7 @@ def test_dark_and_reference_are_confirmed(live: tuple[MainWindow, FakeCamera], q
     window.controls.frames.setValue(3)
     for key, name in ((Qt.Key.Key_D, "Dark"), (Qt.Key.Key_R, "Reference")):
         press(qtbot, window, key)
-        qtbot.waitUntil(partial(says, window, f"{name} taken: mean of 3 frames"))
+        qtbot.waitUntil(partial(says, window, f"{name} taken: mean of 3 frames; Ctrl+Z restores the one before"))
 
 
 def says(window: MainWindow, text: str) -> bool:
