@@ -149,7 +149,7 @@ class Instrument:
         show_preparation: Callable[[str], object] = lambda _: None,
         callbacks: Callable[[Instrument, str], RoutineCallbacks] = lambda _, __: NO_CALLBACKS,
     ) -> None:
-        """`show_preparation` receives what is prepared for seconds, and why; `callbacks` those of a routine."""
+        """`show_preparation` receives what takes seconds to prepare, and why; `callbacks` are those of a routine."""
         self.devices, self._show_preparation, self._callbacks = devices, show_preparation, callbacks
         self._timings = timings or Timings()
         self._recorder = recorder or Recorder(self._timings)

@@ -71,7 +71,7 @@ class VerdictButton(Button):
 
     def _show(self, word: str, numbers: str, lamp: str, colour: QColor) -> None:
         text = self.fontMetrics().elidedText(
-            f"{word} {numbers}", Qt.TextElideMode.ElideRight, self.sizeHint().width() - 34
+            f"{word} {numbers}", Qt.TextElideMode.ElideRight, self.sizeHint().width() - _AROUND_PX
         )
         if text != self.text() or self.accessibleName() != f"{word} {numbers}":
             self.setText(text)
