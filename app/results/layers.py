@@ -18,7 +18,7 @@ from app.results.sources import measured, measured_frame
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_search import FARTHEST_RATIO, LayerSearch, search_layers
-from reconstruction.layers.layer_solver import Layer, LayerFit
+from reconstruction.layers.layer_solver import Layer
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -227,27 +227,19 @@ def distances_and_sigma_m(layers: tuple[Layer, ...], origin: Origin, bench: Benc
     return distance_m(ratio, origin, bench), per_ratio_m * ratio_sigma
 
 
-def layers_dataset(found: LayerSearch | LayerFit, bench: Bench, origin: Origin, points: int = MAP_POINTS) -> xr.Dataset:
-    """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`.
-
-    A fit at given distances, without a search, has no curve over the distance and no verdict.
-    """
+def layers_dataset(found: LayerSearch, bench: Bench, origin: Origin, points: int = MAP_POINTS) -> xr.Dataset:
+    """Return distances, phase maps and what explains the displacements of a frame; see `possible_origin`."""
     import xarray as xr
 
-    if isinstance(found, LayerFit):
-        layers, made, said = found.layers, {"given": found.quality}, {"verdict": "", "doubt": ""}
-        ratios = chi_squares = misfits = np.zeros(0)
-    else:
-        fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
-        made = {name: fit.quality for name, fit in fits.items() if fit is not None}
-        made["any wavefront"] = found.any_wavefront
-        layers, said = found.fit.layers, {"verdict": found.verdict, "doubt": found.doubt}
-        ratios, chi_squares, misfits = found.ratios, found.chi_squares, found.misfits
+    fits = {"given": found.given, "one layer": found.one, "two layers": found.two}
+    made = {name: fit.quality for name, fit in fits.items() if fit is not None}
+    made["any wavefront"] = found.any_wavefront
+    layers, said = found.fit.layers, {"verdict": found.verdict, "doubt": found.doubt}
     origin = possible_origin(origin, (layer.ratio for layer in layers))
     distances_m, sigma_m = distances_and_sigma_m(layers, origin, bench)
     x_m, y_m, phase = layer_maps(layers, origin, Layer.phase, points)
     *_, sigma = layer_maps(layers, origin, Layer.sigma, points)
-    tried_m, order = tried_distances_m(ratios, origin, bench)
+    tried_m, order = tried_distances_m(found.ratios, origin, bench)
     of_distance = from_where(origin)
     return xr.Dataset(
         {
@@ -255,8 +247,8 @@ def layers_dataset(found: LayerSearch | LayerFit, bench: Bench, origin: Origin, 
             "distance_sigma_m": ("layer", sigma_m, about("m", "standard deviation; NaN if given")),
             "layer_phase": (("layer", "y", "x"), phase, about("rad", "phase on the layer; NaN where no ray meets it")),
             "layer_phase_sigma": (("layer", "y", "x"), sigma, about("rad", "standard deviation of layer_phase")),
-            "chi_square": ("distance", chi_squares[order], about("1", "reduced, of a single layer there")),
-            "misfit": ("distance", misfits[order], about("1", "unexplained share of the displacements, RMS")),
+            "chi_square": ("distance", found.chi_squares[order], about("1", "reduced, of a single layer there")),
+            "misfit": ("distance", found.misfits[order], about("1", "unexplained share of the displacements, RMS")),
             "model_chi_square": ("model", [fit.chi_square for fit in made.values()], about("1", "reduced")),
             "model_misfit": ("model", [fit.misfit for fit in made.values()], about("1", "as misfit")),
         },
@@ -331,9 +323,9 @@ WITHOUT_WAVEFRONT = "there is no wavefront"
 
 
 def find_shown_layers(
-    measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
+    measurement: Measurement, origin: Origin, *, count: int, check: Callable[[], None]
 ) -> xr.Dataset | str:
-    """Search for `count` layers; if 0, fit one at a known `ratio` of field to pupil position.
+    """Search for `count` layers.
 
     Distances are measured from the `origin`, if possible. An exception of `check` ends the search. Phases are about the
     middle of their range, half of which is the `phase_limit` (layer,), rad. Returns the problem if there are no layers.
@@ -342,8 +334,7 @@ def find_shown_layers(
     if calibration is None or wavefront is None:
         return WITHOUT_WAVEFRONT
     try:
-        layers = calibration.reconstructor().layers(wavefront.displacement)
-        found = search_layers(layers, count, check=check) if count else layers.fit(ratio)
+        found = search_layers(calibration.reconstructor().layers(wavefront.displacement), count, check=check)
     except ReconstructionError as error:
         return str(error)
     shown = layers_dataset(found, calibration.bench, origin, _SHOWN_POINTS)

@@ -1,4 +1,4 @@
-"""The layers panel: misfit over the distance, and the phase of found layers or of a known one."""
+"""The layers panel: misfit over the distance, and the phase of the found layers."""
 
 from __future__ import annotations
 
@@ -7,32 +7,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from PyQt6.QtCore import QSignalBlocker
 
-from app.bench.config import Bench
 from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
-from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import DistancePlot, origin_choice
 from app.gui.widgets.presentation import AdaptiveScale, diverging, number, signed
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
-from app.results.layers import (
-    Origin,
-    distance_in_words,
-    distance_m,
-    distance_range_m,
-    find_shown_layers,
-    possible_origin,
-    ratio_at,
-)
-from drivers.interface import Range
+from app.results.layers import distance_in_words, find_shown_layers
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
-_INTERVALS_S = {1: 5.0, 2: 20.0, 0: 0.1}  # between two fits
+_INTERVALS_S = {1: 5.0, 2: 20.0}  # between two searches, by the number of layers
 
 
 class LayersPanel(Panel):
@@ -42,17 +31,10 @@ class LayersPanel(Panel):
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
-        self._bench: Bench | None = None
-        self._ratio = 0.0  # of the layer found last, or of the known one
         self._scale = AdaptiveScale()
-        about = "Search for one or two layers every few seconds,\nor show the phase of one at a known distance live"
-        modes = (("find one layer", 1), ("find two layers", 2), ("layer known at (mm)", 0))
-        self.mode = Choice(about, modes, self._change_mode)
-        about, name = "Distance of the known layer", "Distance of the layer"
-        self.distance = NumberField(tool_tip=about, name=name, unit="mm", decimals=1)
-        self.distance.entered.connect(self._enter)
+        modes = (("find one layer", 1), ("find two layers", 2))
+        self.mode = Choice("Search for one or two layers every few seconds", modes, self._search_again)
         self.origin = origin_choice()
-        self.origin.currentIndexChanged.connect(self._show_distance)
         keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
         about = (
             "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
@@ -62,9 +44,8 @@ class LayersPanel(Panel):
         self.map = ViewGrid((80, 50))
         self.map.setToolTip("Phase of each layer, without piston")
         self.sentence = ElidedLabel(lines=2)
-        header = row(self.mode, self.distance, self.origin, (ElidedLabel(), 1))
+        header = row(self.mode, self.origin, (ElidedLabel(), 1))
         column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
-        self._show_distance()
         self.forget_bench()
 
     def forget_bench(self) -> None:
@@ -77,14 +58,10 @@ class LayersPanel(Panel):
         measurement, origin, count = self.shown.measurement, self.origin.currentData(), self.mode.currentData()
         if measurement is None or measurement.wavefront is None:
             return None
-        if measurement.calibration is not None and measurement.calibration.bench is not self._bench:
-            self._bench = measurement.calibration.bench
-            self._show_distance()
-        ratio = 0.0 if count else self._ratio
         return Request(
             measurement,
-            (origin, count, ratio),
-            lambda check: find_shown_layers(measurement, origin, count=count, ratio=ratio, check=check),
+            (origin, count),
+            lambda check: find_shown_layers(measurement, origin, count=count, check=check),
             _INTERVALS_S[count],
         )
 
@@ -96,12 +73,10 @@ class LayersPanel(Panel):
             return
         self.sentence.setText(_in_words(found))
         origin, at_m = found.attrs["distances_from"], found["distance_m"].values
-        self._choose_origin(origin)
-        if found.attrs["verdict"] and self._bench is not None:
-            self._ratio = ratio_at(float(at_m[0]), origin, self._bench)
-            self._show_distance()
-            misfits, least = 100 * found["misfit"].values, 100 * _misfit(found, "any wavefront")
-            self.plot.show_curve(found["distance"].values, misfits, least, at_m, origin)
+        with QSignalBlocker(self.origin):  # another than was chosen, if a layer has no distance from that one
+            self.origin.setCurrentIndex(self.origin.findData(origin))
+        misfits, least = 100 * found["misfit"].values, 100 * _misfit(found, "any wavefront")
+        self.plot.show_curve(found["distance"].values, misfits, least, at_m, origin)
         self.plot.mark(at_m)
         self._show_maps(found)
 
@@ -131,27 +106,8 @@ class LayersPanel(Panel):
             captions[0, index] = (at, wide)
         self.map.set_captions(captions)
 
-    def _change_mode(self) -> None:
+    def _search_again(self) -> None:
         self.sentence.setText(_SEARCHING)
-        self._show_distance()
-
-    def _enter(self, typed_m: float) -> None:
-        if self._bench is not None:
-            self._ratio = ratio_at(typed_m, self.origin.currentData(), self._bench)
-
-    def _show_distance(self) -> None:
-        """Show the distance of the layer, to be changed while it is the known one."""
-        self.distance.setEnabled(not self.mode.currentData() and self._bench is not None)
-        if self._bench is not None:
-            origin = possible_origin(self.origin.currentData(), [self._ratio])
-            self._choose_origin(origin)
-            allowed = Range(*distance_range_m(origin, self._bench))
-            self.distance.show_value(float(distance_m(self._ratio, origin, self._bench)), allowed)
-
-    def _choose_origin(self, origin: Origin) -> None:
-        """Choose another origin than was chosen, if a layer has no distance from that one."""
-        with QSignalBlocker(self.origin):
-            self.origin.setCurrentIndex(self.origin.findData(origin))
 
 
 def _misfit(found: xr.Dataset, model: str) -> float:
@@ -165,10 +121,8 @@ def _places(found: xr.Dataset) -> list[str]:
 
 def _in_words(found: xr.Dataset) -> str:
     places, verdict, layers = " and ".join(_places(found)), found.attrs["verdict"], found.sizes["layer"]
-    fitted = ("two layers" if layers > 1 else "one layer") if verdict else "given"
+    fitted = "two layers" if layers > 1 else "one layer"
     share = f"{number(100 * _misfit(found, fitted), 2)} % of the displacements unexplained"
-    if not verdict:
-        return f"Layer {places}, as given: {share}"
     share += f" (any wavefront: {number(100 * _misfit(found, 'any wavefront'), 2)} %)"
     doubt = f"; but {found.attrs['doubt']}" if found.attrs["doubt"] else ""
     if verdict.startswith("nothing"):

@@ -30,7 +30,6 @@ from app.gui.shell.analyses import Analyses
 from app.gui.shell.benches import Benches
 from app.gui.shell.calibration import CalibrationGuide
 from app.gui.shell.controller import Controller, SettingsControl
-from app.gui.shell.device_dialogs import DevicePresets, SensorRegionDialog
 from app.gui.shell.docks import PanelDocks, make_panels
 from app.gui.shell.help import help_entries
 from app.gui.shell.instrument_factory import InstrumentFactory
@@ -39,6 +38,7 @@ from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
 from app.gui.shell.recording import RecordingBar, RecordingPanel
 from app.gui.shell.replay_bar import ReplayBar
+from app.gui.shell.sensor_region import SensorRegionDialog
 from app.gui.shell.state import PreferencesDialog, fit_to_screen, restore_state, save_state
 from app.gui.shell.status_line import StatusLine
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness, left_behind, light_when_closing, way_out
@@ -176,11 +176,8 @@ class MainWindow(QMainWindow):
     def _menus(self) -> Mapping[str, Entries]:
         """Return all menus, with the entries of the panels among those of the window."""
         full = Qt.WindowState.WindowFullScreen
-        presets: Entries = ()
         preferences: Entries = ()
         if self._saved is not None:  # else the window remembers nothing
-            dialog = DevicePresets(self.controller, self.controls, self._saved, self)
-            presets = (("Presets of exposure and mask", "", dialog.show),)
             preferences = (("Preferences", "", PreferencesDialog(self._saved, self).show),)
         menus: dict[str, Entries] = {
             "&File": (
@@ -194,7 +191,6 @@ class MainWindow(QMainWindow):
             "&Bench": (
                 *self.benches.menu_entries(),
                 None,
-                *presets,
                 *self._entries_of_panels("&Bench"),
                 ("Check the background", "B", self.guide.check_background),
                 ("Light off, from anywhere (also Pause)", "F12", self.light.switch_off),

@@ -1,10 +1,7 @@
-"""The selected view enlarged: map with contours and cursor, two cross-sections, and the surface."""
-
-import math
-from dataclasses import replace
+"""The selected view enlarged: map with contours and cursor, and two cross-sections."""
 
 import numpy as np
-from PyQt6.QtCore import QPointF, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QPointF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolygonF, QShowEvent
 from PyQt6.QtWidgets import QDialog, QWidget
 
@@ -15,12 +12,10 @@ from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Maps, ViewGrid
-from app.results.pictures import contour_step, contours, project_points, project_surface
+from app.results.pictures import contour_step, contours
 from reconstruction.arrays import Floats
 
 _CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
-_TURN_RAD = 0.01  # for each pixel of a drag
-_LINED = 41  # rows or columns; finer surfaces have no lines
 
 
 class EnlargedMap(ViewGrid):
@@ -86,95 +81,6 @@ class EnlargedMap(ViewGrid):
         self.moved.emit()
 
 
-class SurfaceView(QWidget):
-    """Paints one map; a drag turns it."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.azimuth_rad, self.elevation_rad = 0.6, 0.6
-        self._maps: Maps | None = None
-        self._from = QPointF()
-        self.setMinimumSize(160, 140)
-        self.setToolTip("Drag to turn the surface")
-
-    def show_map(self, maps: Maps | None) -> None:
-        self._maps = maps
-        self.update()
-
-    def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
-        maps = self._maps
-        if maps is None or min(maps.values.shape[2:]) < 2:
-            return
-        values = maps.values[0, 0]
-        limit = max(abs(maps.scale.low), abs(maps.scale.high))
-        surface = project_surface(values, limit, azimuth_rad=self.azimuth_rad, elevation_rad=self.elevation_rad)
-        colours = maps.scale.pixels(surface.values)
-        painter = QPainter(self)
-        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-        self._paint_axes(painter, maps)
-        corners = self._on_widget(surface.corners)
-        is_lined = max(values.shape) <= _LINED
-        for face, colour, brightness in zip(corners, colours, surface.brightness, strict=True):
-            red, green, blue = ((int(colour) >> shift & 255) * brightness for shift in (16, 8, 0))
-            shaded = QColor(int(red), int(green), int(blue))
-            painter.setBrush(shaded)
-            painter.setPen(QPen(QColor(0, 0, 0, 60) if is_lined else shaded, 1))
-            painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in face]))
-
-    def _on_widget(self, projected: Floats) -> Floats:
-        """Scale and centre projected points (..., xy), px, with room for the numbers of the axes."""
-        scale = min(self.width() / 1.5, self.height() / 1.35)
-        return np.asarray(projected * scale + (self.width() / 2, self.height() / 2))
-
-    def _paint_axes(self, painter: QPainter, maps: Maps) -> None:
-        """Paint the base, which lies at the low end of the scale, and the scale at its leftmost corner."""
-        rows, columns = maps.values.shape[2:]
-        half_x, half_y = ((count - 1) / (2 * (max(rows, columns) - 1)) for count in (columns, rows))
-        limit = max(abs(maps.scale.low), abs(maps.scale.high))
-        low, high = maps.scale.low / (4 * limit), maps.scale.high / (4 * limit)
-        base = np.array(
-            [(x, y, low) for x, y in ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))]
-        )
-        turn = {"azimuth_rad": self.azimuth_rad, "elevation_rad": self.elevation_rad}
-        on_base = self._on_widget(project_points(base, **turn))
-        left = int(on_base[:, 0].argmin())
-        top = self._on_widget(project_points(base[left] + (0, 0, high - low), **turn))
-        painter.setPen(QPen(theme.DIM, 1))
-        painter.drawPolygon(QPolygonF([QPointF(x, y) for x, y in on_base]))
-        painter.drawLine(QPointF(*on_base[left]), QPointF(*top))
-        ends = dict(maps.scale.ticks)
-        self._write(painter, on_base[left] + (-10, 12), ends[min(ends)])
-        self._write(painter, top - (0, 10), f"{ends[max(ends)]} {maps.scale.title}")
-        outward = on_base - on_base.mean(axis=0)
-        for axis, reach, edges in (("x", maps.reach[0], ((0, 1), (2, 3))), ("y", maps.reach[1], ((1, 2), (3, 0)))):
-            near = max(edges, key=lambda edge: on_base[list(edge), 1].mean())  # the edge in front
-            text = f"{axis} \N{PLUS-MINUS SIGN}{number(reach)} {maps.reach_unit}"
-            away = outward[list(near)].mean(axis=0)
-            away /= max(float(np.linalg.norm(away)), 1e-9)
-            room = np.array([painter.fontMetrics().horizontalAdvance(text), painter.fontMetrics().height()]) / 2 + 4
-            self._write(painter, on_base[list(near)].mean(axis=0) + away * room, text)
-
-    def _write(self, painter: QPainter, at: Floats, text: str) -> None:
-        """Write a text around a point (xy,), px, within the widget."""
-        place = QRectF(painter.fontMetrics().boundingRect(text))
-        place.moveCenter(QPointF(*at))
-        place.moveLeft(min(max(place.left(), 0.0), self.width() - place.width()))
-        place.moveTop(min(max(place.top(), 0.0), self.height() - place.height()))
-        painter.drawText(place, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextDontClip, text)
-
-    def mousePressEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        if event is not None:
-            self._from = event.position()
-
-    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
-        if event is None:
-            return
-        step, self._from = event.position() - self._from, event.position()
-        self.azimuth_rad -= _TURN_RAD * step.x()
-        self.elevation_rad = min(max(self.elevation_rad + _TURN_RAD * step.y(), 0.1), math.pi / 2)
-        self.update()
-
-
 class EnlargedView(QDialog):
     """Follows the selected view of a grid, in a window of its own."""
 
@@ -189,13 +95,12 @@ class EnlargedView(QDialog):
         self.across = Plot("Along x", "x", widest="\N{MINUS SIGN}0.00")
         self.down = Plot("Along y", "y", widest="\N{MINUS SIGN}0.00")
         self._curves = [plot.add_curve(theme.ACCENT) for plot in (self.across, self.down)]
-        self.surface = SurfaceView()
         self.text = ElidedLabel()
         self.contour_toggle = Toggle("Contours", "Lines of equal value", self.refresh, is_on=True)
         sections = column((self.across, 1), (self.down, 1), spacing=12)
-        parts = row((self.map, 5), (sections, 3), (self.surface, 4), spacing=12)
+        parts = row((self.map, 5), (sections, 3), spacing=12)
         fill_dialog(self, row((self.text, 1), self.contour_toggle), (parts, 1))
-        self.resize(within_screen(parent, QSize(1180, 480)))
+        self.resize(within_screen(parent, QSize(860, 480)))
         self.refresh()
 
     def refresh(self) -> None:
@@ -213,7 +118,6 @@ class EnlargedView(QDialog):
         for plot in (self.across, self.down):
             plot.show_stale(is_stale=self._grid.is_stale)
         self.map.show_maps(one)
-        self.surface.show_map(None if one is None else replace(one, scale=self.map.scale_of(one)))
         self._show_sections()
 
     def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name

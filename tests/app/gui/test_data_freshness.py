@@ -14,14 +14,14 @@ import tifffile
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.window_tools import dim_frame, picture, press, views
+from support.window_tools import dim_frame, press, views
 
 from app.acquisition.dark_reference_store import AverageState
 from app.acquisition.instrument import Activity
 from app.gui.panels.panel import DataFreshness
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness
-from app.gui.widgets.enlarged_view import EnlargedView, SurfaceView
+from app.gui.widgets.enlarged_view import EnlargedView
 from app.measurement.measurement import Assumptions
 from app.recording.playback_devices import RecordedLight
 from drivers.interface import Disconnected
@@ -34,7 +34,7 @@ def is_grey(window: MainWindow) -> bool:
     states = {tile.is_stale for tile in (panels.wavefronts.grid, *panels.lenslet.tiles.values(), enlarged.map)}
     plots = panels.quality.mtf, panels.quality.structure, panels.coefficients.plot, enlarged.across
     states |= {plot.view.childGroup.opacity() < 1 for plot in plots}
-    states |= {panels.camera._view.childGroup.opacity() < 1, colours(enlarged.surface) < 0.01}
+    states |= {panels.camera._view.childGroup.opacity() < 1}
     texts = (
         panels.wavefronts._summary,
         panels.quality.sentence,
@@ -44,11 +44,6 @@ def is_grey(window: MainWindow) -> bool:
     states |= {bool(text.property("stale")) for text in texts}
     assert len(states) == 1
     return states.pop()
-
-
-def colours(surface: SurfaceView) -> float:
-    """Share of the pixels that are neither black, grey nor white."""
-    return float((np.ptp(picture(surface).astype(int), axis=2) > 30).mean())
 
 
 def badges(window: MainWindow) -> tuple[str, str, str]:

@@ -10,14 +10,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import xarray as xr
-from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_frame
 from support.patience import wait_until
-from support.window_tools import MakeWindow, click, press, tab
+from support.window_tools import MakeWindow, click, tab
 
 from app.bench.config import load_bench
 from app.evaluation.frames import simulate
+from app.gui.panels.layers import LayersPanel
 from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import Average
 from app.measurement.calibration import Calibration
@@ -53,6 +53,13 @@ def window(make_window: MakeWindow, measurement: Measurement) -> MainWindow:
     return made
 
 
+def found_at_mm(panel: LayersPanel) -> float:
+    """Return the distance at which the plot marks the found layer."""
+    marks_mm, _ = panel.plot.marks.getData()
+    assert np.ptp(marks_mm) == 0
+    return float(marks_mm[0])
+
+
 def open_tab(qtbot: QtBot, window: MainWindow, title: str) -> None:
     click(qtbot, *tab(window, title))
 
@@ -65,10 +72,16 @@ def test_pointer_reads_x_and_y_on_the_layer(make_window: MakeWindow) -> None:
             "phase_limit": ("layer", [1.0]),
             "distance_m": ("layer", [0.1]),
             "distance_sigma_m": ("layer", [np.nan]),
-            "model_misfit": ("model", [0.02]),
+            "model_misfit": ("model", [0.02, 0.01]),
+            "misfit": ("distance", [0.5, 0.02, 0.5]),
         },
-        {"x": np.linspace(-3e-3, 3e-3, 31), "y": np.linspace(-2e-3, 2e-3, 21), "model": ["given"]},
-        {"distances_from": "lenslets", "verdict": "", "doubt": ""},
+        {
+            "distance": [0.05, 0.1, 0.15],
+            "x": np.linspace(-3e-3, 3e-3, 31),
+            "y": np.linspace(-2e-3, 2e-3, 21),
+            "model": ["one layer", "any wavefront"],
+        },
+        {"distances_from": "lenslets", "verdict": "one layer", "doubt": ""},
     )
     panel.show_result(found)
     corner = panel.map.places.tile(0, 0).topRight()
@@ -83,15 +96,14 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     qtbot.waitUntil(lambda: panel.map.maps is not None)
     assert panel.sentence.text().startswith("One layer 19")
     assert " mm in front of the lenslets: " in panel.sentence.text()
-    assert panel.distance.value() == pytest.approx(DISTANCE_M * 1e3, abs=4)
+    found_mm = found_at_mm(panel)
+    assert found_mm == pytest.approx(DISTANCE_M * 1e3, abs=4)
     distance_mm, percent = panel.plot.curve.getData()
     assert abs(distance_mm[np.argmin(percent)] - DISTANCE_M * 1e3) < 20
     assert percent[distance_mm == 0] > 5 * percent.min()
     assert percent[np.argmin(np.abs(distance_mm + DISTANCE_M * 1e3))] > 10 * percent.min()  # as far behind the lenslets
     low_mm, high_mm = panel.plot.view.viewRange()[0]
-    assert (low_mm, high_mm) == pytest.approx((-panel.distance.value(), 2 * panel.distance.value()), rel=1e-3)
-    marks_mm, _ = panel.plot.marks.getData()
-    np.testing.assert_allclose(marks_mm, panel.distance.value(), atol=0.06)
+    assert (low_mm, high_mm) == pytest.approx((-found_mm, 2 * found_mm), rel=1e-3)
     maps = panel.map.maps
     assert maps is not None
     bench = load_bench("small_demo")
@@ -101,36 +113,12 @@ def test_layer_is_found_with_curve_and_map(window: MainWindow, qtbot: QtBot) -> 
     assert np.std((maps.values[0, 0] - true)[inner, inner]) < 0.05 * np.std(true)
     assert "mm on the layer: " in panel.map._value_at(panel.map.places.tile(0, 0).center())
     window.panels.wavefronts.menu.units[2].trigger()  # nm
-    panel.mode.setCurrentIndex(2)  # the layer as found
+    panel.mode.setCurrentIndex(0)
+    window.analyses.of[panel].request = None  # searched again at once
     qtbot.waitUntil(lambda: panel.map.maps is not None and panel.map.maps.scale.title == "nm")
     in_nm = panel.map.maps
     assert in_nm is not None
     np.testing.assert_allclose(in_nm.values, maps.values * 462 / (2 * np.pi), rtol=1e-6)
-
-
-@pytest.mark.slow
-def test_known_distance_is_fitted_to_every_measurement(
-    window: MainWindow, qtbot: QtBot, measurement: Measurement
-) -> None:
-    open_tab(qtbot, window, "Layers")
-    panel = window.panels.layers
-    qtbot.waitUntil(lambda: panel.map.maps is not None)
-    assert not panel.distance.isEnabled()
-    panel.mode.setCurrentIndex(2)
-    qtbot.waitUntil(lambda: "as given" in panel.sentence.text())
-    panel.distance.edit()
-    qtbot.keyClicks(panel.distance, "150")  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    press(qtbot, panel.distance, Qt.Key.Key_Return)
-    qtbot.waitUntil(lambda: panel.sentence.text().startswith("Layer 150.0 mm in front of the lenslets, as given: "))
-    assert panel.map.maps is not None
-    half_width_mm = panel.map.maps.reach[0]
-    assert half_width_mm == pytest.approx(7 * 0.25 + 0.75 * 0.6)  # of the lattice, and 150 / 200 of the field's
-    before = panel.map.maps
-    window.show_measurement(replace(measurement))
-    qtbot.waitUntil(lambda: panel.map.maps is not before)
-    last = window.analyses.of[panel].request
-    assert last is not None
-    assert last.of is window.shown.measurement
 
 
 def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
@@ -138,8 +126,7 @@ def test_distances_from_the_mask(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.layers
     panel.origin.setCurrentIndex(1)
     qtbot.waitUntil(lambda: "from the mask" in panel.sentence.text())
-    assert panel.distance.value() == pytest.approx(200 / (1 + 0.975), abs=1)  # of the screen: f1 / (1 + r), mm
-    assert panel.distance.maximum() == pytest.approx(200)
+    assert found_at_mm(panel) == pytest.approx(200 / (1 + 0.975), abs=1)  # of the screen: f1 / (1 + r), mm
     assert panel.plot.axes["bottom"].labelText == "distance from the mask (mm)"
     assert panel.plot.view.viewRange()[0] == pytest.approx([0, 200])
 
@@ -154,9 +141,9 @@ def test_layer_behind_the_lenslets_is_measured_from_them(make_window: MakeWindow
     panel.origin.setCurrentIndex(1)  # from the mask
     qtbot.waitUntil(lambda: " mm behind the lenslets: " in panel.sentence.text())
     assert panel.origin.currentData() == "lenslets"
-    assert panel.distance.value() == pytest.approx(-100, abs=10)
+    assert found_at_mm(panel) == pytest.approx(-100, abs=10)
     panel.origin.setCurrentIndex(1)
-    assert panel.origin.currentData() == "lenslets"
+    qtbot.waitUntil(lambda: panel.origin.currentData() == "lenslets")
 
 
 def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measurement: Measurement) -> None:
@@ -174,7 +161,7 @@ def test_lost_wavefront_makes_the_map_grey(window: MainWindow, qtbot: QtBot, mea
     qtbot.waitUntil(lambda: panel.map.maps is not None and not panel.map.is_stale)
     window.show_measurement(replace(measurement, wavefront=None, problem="no light"))
     qtbot.waitUntil(lambda: panel.map.is_stale)
-    panel.mode.setCurrentIndex(2)
+    panel.mode.setCurrentIndex(1)
     window.show_measurement(replace(measurement))
     qtbot.waitUntil(lambda: not panel.map.is_stale)
 
@@ -195,14 +182,14 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
     begun = threading.Event()
 
     def find_until_closed(
-        measurement: Measurement, origin: Origin, *, count: int, ratio: float, check: Callable[[], None]
+        measurement: Measurement, origin: Origin, *, count: int, check: Callable[[], None]
     ) -> xr.Dataset | str:
         def check_when_closing() -> None:
             begun.set()
             wait_until(lambda: window.analyses.is_closing)
             check()
 
-        return find_shown_layers(measurement, origin, count=count, ratio=ratio, check=check_when_closing)
+        return find_shown_layers(measurement, origin, count=count, check=check_when_closing)
 
     monkeypatch.setattr("app.gui.panels.layers.find_shown_layers", find_until_closed)
     panel = window.panels.layers

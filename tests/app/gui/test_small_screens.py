@@ -40,7 +40,6 @@ DIALOGS = {
     "Documentation",
     "About svwfs",
     "Preferences",
-    "Presets of exposure and mask",
     "Settings of the bench",
     "Enlarge the selected view",
     "Calibrate step by step",

@@ -1,19 +1,12 @@
-"""Dialogs of the devices: sensor region and binning, and named presets."""
+"""Dialog of the sensor region and the binning."""
 
-import json
-from typing import Any
+from PyQt6.QtWidgets import QDialog, QFormLayout, QWidget
 
-from PyQt6.QtCore import QSettings
-from PyQt6.QtGui import QShowEvent
-from PyQt6.QtWidgets import QDialog, QFormLayout, QListWidget, QWidget
-
-from app.acquisition.commands import Commands
 from app.acquisition.instrument import Status
-from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
 from app.gui.shell.status_text import area_taken
 from app.gui.widgets.buttons import Button, Choice, close_button
-from app.gui.widgets.fields import NumberField, TextField
+from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import fill_dialog, row
 from app.gui.widgets.texts import label
 from app.measurement.sensor_region import SensorArea, in_steps, region_around
@@ -24,14 +17,6 @@ _SIDES = {
     "First column": "First column that is read out",
     "Rows": "Number of rows",
     "Columns": "Number of columns",
-}
-_PRESETS_KEY = "presets/devices"  # key of the saved state
-_ABOUT_PRESETS = "A preset keeps exposure, gain, current and mask: type a name, and save those in force."
-_PRESET_SETTINGS: dict[str, tuple[object, Any]] = {  # what changes them, and the kind of their values
-    "exposure_s": (Commands.set_exposure_s, int | float),
-    "em_gain": (Commands.set_em_gain, int | float),
-    "current_a": (Commands.set_current_a, int | float),
-    "mask": ("mask", str),
 }
 
 
@@ -126,82 +111,3 @@ class SensorRegionDialog(QDialog):
         if (status := self._controller.status) is not None:
             text, is_whole = area_taken(status, area)
             (self._messages.inform if is_whole else self._messages.warn)(text)
-
-
-class DevicePresets(QDialog):
-    """Saves, applies and deletes presets of exposure, gain, current and mask, kept between starts."""
-
-    def __init__(self, controller: Controller, controls: ControlsPanel, saved: QSettings, parent: QWidget) -> None:
-        """Apply presets as the `controls` would."""
-        super().__init__(parent)
-        self._controller, self._controls, self._saved = controller, controls, saved
-        self.setWindowTitle("Presets of exposure and mask")
-        self.names = QListWidget()
-        self.names.currentItemChanged.connect(self._enable)
-        self.names.itemDoubleClicked.connect(lambda _: self._apply())
-        self.about = label("", "dim", is_wrapped=True)
-        self.about.setMinimumWidth(380)  # px: the title fits
-        self.name = TextField(tool_tip="Name of the preset", hint="name")
-        self.name.textChanged.connect(self._enable)
-        self.save = Button("Save", "Save exposure, gain, current and mask in force under this name", self._save)
-        self.apply = Button("Apply", "Set exposure, gain, current and mask of the chosen preset", self._apply)
-        self.delete = Button("Delete", "Delete the chosen preset", self._delete)
-        chosen = row(self.apply, self.delete, (QWidget(), 1), close_button(self))
-        lines = self.about, (self.names, 1), row((self.name, 1), self.save), chosen
-        fill_dialog(self, *lines)
-        self._list()
-
-    def _presets(self) -> dict[str, dict[str, object]]:
-        """Presets that can be applied: the file may have been edited by hand."""
-        try:
-            found = json.loads(str(self._saved.value(_PRESETS_KEY, "{}")))
-        except ValueError:
-            return {}
-        presets = found if isinstance(found, dict) else {}
-        kinds = {key: kind | None for key, (_, kind) in _PRESET_SETTINGS.items()}  # None: a device does not have it
-        return {
-            name: values
-            for name, values in presets.items()
-            if isinstance(values, dict) and all(isinstance(values.get(key), kind) for key, kind in kinds.items())
-        }
-
-    def _keep(self, presets: dict[str, dict[str, object]]) -> None:
-        self._saved.setValue(_PRESETS_KEY, json.dumps(presets))
-        self._list()
-
-    def showEvent(self, event: QShowEvent | None) -> None:  # noqa: N802 - Qt's name
-        super().showEvent(event)
-        self._enable()
-
-    def _enable(self, *_: object) -> None:
-        is_open, is_chosen = self._controller.status is not None, self.names.currentItem() is not None
-        self.save.setEnabled(is_open and bool(self.name.text().strip()))
-        self.apply.setEnabled(is_open and is_chosen)
-        self.delete.setEnabled(is_chosen)
-
-    def _list(self) -> None:
-        self.names.clear()
-        self.about.setText(_ABOUT_PRESETS if self._presets() else f"There are no presets yet. {_ABOUT_PRESETS}")
-        for name, values in self._presets().items():
-            self.names.addItem(name)
-            if (item := self.names.item(self.names.count() - 1)) is not None:
-                item.setToolTip("\n".join(f"{key} {value}" for key, value in values.items()))
-        self._enable()
-
-    def _save(self) -> None:
-        status, name = self._controller.status, self.name.text().strip()
-        if status is not None and name:
-            self._keep({**self._presets(), name: {name: getattr(status, name) for name in _PRESET_SETTINGS}})
-
-    def _delete(self) -> None:
-        if (item := self.names.currentItem()) is not None:
-            self._keep({name: values for name, values in self._presets().items() if name != item.text()})
-
-    def _apply(self) -> None:
-        status, item = self._controller.status, self.names.currentItem()
-        if status is None or item is None:
-            return
-        values = self._presets()[item.text()]
-        for name, (setting, _) in _PRESET_SETTINGS.items():
-            if values.get(name) not in {None, getattr(status, name)}:  # a manual light takes no current
-                self._controls.wanted.emit(setting, values[name])
