@@ -26,13 +26,13 @@ def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: Poi
     """
     require({f"{path} exists: delete it, or choose another name": not path.exists()})
     part = path.with_name(f".{path.name}.part")
+    header = {"descr": "<f4", "fortran_order": False, "shape": (len(position_m), *model.camera_shape)}
     try:
-        matrix = np.lib.format.open_memmap(part, "w+", np.float32, (len(position_m), *model.camera_shape))
-        for start in range(0, len(matrix), _BLOCK_POINTS):
-            block = slice(start, start + _BLOCK_POINTS)
-            matrix[block] = model.point_irradiances(position_m[block], field)
-        matrix.flush()
-        del matrix  # Windows renames no file that is open
+        with part.open("wb") as file:  # no memory map: Windows neither renames nor deletes a file that is open
+            np.lib.format.write_array_header_1_0(file, header)
+            for start in range(0, len(position_m), _BLOCK_POINTS):
+                block = model.point_irradiances(position_m[start : start + _BLOCK_POINTS], field)
+                block.astype("<f4").tofile(file)
         rename(part, path)
     finally:
         part.unlink(missing_ok=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
 import sys
@@ -89,6 +88,6 @@ def test_handlers_are_restored() -> None:
     before = [signal.getsignal(number) for number in ENDING]
     with ended_by(lambda number, _frame: came.append(number)):
         for number in ENDING:
-            os.kill(os.getpid(), number)
+            signal.raise_signal(number)
     assert came == list(ENDING)
     assert [signal.getsignal(number) for number in ENDING] == before

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.patience import HANG_S, wait_until
+from support.posix import KILLED
 from support.simulated_scene import DRIFTING, LATTICE, STILL, current_state, open_bench, states_rendered
 
 from simulated_devices.bench import SimulatedBench, played_state
@@ -70,7 +70,7 @@ def test_closing_kills_rendering_ahead(tmp_path: Path) -> None:
     assert process.process.poll() is None
     bench.close()
     bench.close()
-    assert process.process.returncode == -signal.SIGKILL
+    assert process.process.returncode == KILLED
 
 
 @pytest.mark.slow

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -59,7 +58,7 @@ def kill_one(bench: str, settings: tuple[str, ...], folder: Path, *, after_s: fl
             time.sleep(min(left_s, 0.1))
             told += os.read(reading, 1 << 14)
     finally:
-        program.send_signal(signal.SIGKILL)
+        program.kill()
         program.wait()
         while piece := os.read(reading, 1 << 16):
             told += piece

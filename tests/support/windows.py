@@ -11,23 +11,31 @@ from pathlib import Path
 import pytest
 
 
-def renaming_refuses_open_files(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Refuse to rename a file, or to replace one, that this process has open; Windows does so itself."""
+def open_files_stay(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Refuse to rename, replace or delete a file that this process has open or mapped; Windows does so itself."""
     if sys.platform == "win32":
         return
-    replace = Path.replace
+    replace, unlink = Path.replace, Path.unlink
 
-    def refusing(source: Path, target: Path) -> Path:
+    def check(*paths: Path) -> None:
         opened = set[str]()
         for descriptor in Path("/proc/self/fd").iterdir():
             with suppress(FileNotFoundError):  # the folder itself
                 opened.add(str(descriptor.readlink()))
-        for path in (source, target):
+        for path in paths:
             if os.path.realpath(path) in opened:
                 raise PermissionError(13, "used by another process", str(path))
+
+    def checked_replace(source: Path, target: Path) -> Path:
+        check(source, target)
         return replace(source, target)
 
-    monkeypatch.setattr(Path, "replace", refusing)
+    def checked_unlink(path: Path, *, missing_ok: bool = False) -> None:
+        check(path)
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(Path, "replace", checked_replace)
+    monkeypatch.setattr(Path, "unlink", checked_unlink)
 
 
 def refusing(number: int) -> Callable[..., int]:

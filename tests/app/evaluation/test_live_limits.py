@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
-import signal
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Any
 
 import pytest
 from support.gui_bench import BENCH
+from support.posix import press_ctrl_c
 
 import app.commands.benchmark
 from app import cli
@@ -155,7 +154,7 @@ def test_second_interrupt_still_removes_the_recording(tmp_path: Path, monkeypatc
     remove = shutil.rmtree
 
     def remove_interrupted(path: Path) -> None:
-        os.kill(os.getpid(), signal.SIGINT)
+        press_ctrl_c()
         remove(path)
 
     def interrupt(_number: int, _frame: object) -> None:

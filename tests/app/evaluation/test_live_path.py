@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +13,7 @@ import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtWidgets import QApplication
 from support.gui_bench import BENCH, FakeCamera, opener
+from support.posix import press_ctrl_c
 
 from app.acquisition.address import Address
 from app.acquisition.remote.own_connection import OwnConnection
@@ -144,7 +144,7 @@ def when_recorded(folder: Path, act: Callable[[], None]) -> QTimer:
 @pytest.mark.slow
 @pytest.mark.long
 def test_interrupt_turns_light_off_and_removes_recording(camera: FakeCamera, tmp_path: Path) -> None:
-    acted = when_recorded(tmp_path, lambda: os.kill(os.getpid(), signal.SIGINT))
+    acted = when_recorded(tmp_path, press_ctrl_c)
     with pytest.raises(Interrupted):
         benchmark_acquisition(LivePlan(bench=BENCH, seconds=60, record_in=tmp_path), no_report)
     assert not acted.isActive()

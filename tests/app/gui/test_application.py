@@ -131,7 +131,7 @@ def test_signal_closes_window_and_turns_light_off(
     assert qapp is QApplication.instance()
     camera = FakeCamera()
     before = signal.getsignal(number)
-    with when_lit(camera, lambda: os.kill(os.getpid(), number)), pytest.raises(Interrupted):
+    with when_lit(camera, lambda: signal.raise_signal(number)), pytest.raises(Interrupted):
         run(camera)
     assert camera.is_closed
     assert not camera.light.shines

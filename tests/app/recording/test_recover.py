@@ -20,7 +20,7 @@ import zarr
 from support.command_line import run
 from support.optics import SmallBench
 from support.records import RANDOM, SHAPE, frame_file, make_record, make_records, noisy_calibration, write
-from support.windows import renaming_refuses_open_files
+from support.windows import open_files_stay
 
 import svwfs
 from app.commands.recover import print_recovered
@@ -224,7 +224,7 @@ def test_lines_are_replaced_while_nothing_has_them_open(tmp_path: Path, monkeypa
     write(tmp_path / "r", [make_record(index) for index in range(3)], finish=False)
     lines = (tmp_path / "r" / "frames.jsonl").read_bytes()
     (tmp_path / "r" / "frames.jsonl").write_bytes(lines + b"{")
-    renaming_refuses_open_files(monkeypatch)
+    open_files_stay(monkeypatch)
     assert recover(tmp_path / "r").frames == 3
     assert (tmp_path / "r" / "frames.jsonl").read_bytes() == lines
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import signal
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
+from support.posix import press_ctrl_c
 
 from reconstruction.arrays import Floats, PointField
 from reconstruction.geometry import Arrangement, Lattice
@@ -263,12 +262,8 @@ def fail() -> None:
     raise ArithmeticError("enough")
 
 
-def interrupt() -> None:
-    signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-
-
 @pytest.mark.usefixtures("default_signals")
-@pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (interrupt, KeyboardInterrupt)])
+@pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (press_ctrl_c, KeyboardInterrupt)])
 @pytest.mark.parametrize("of_points", [False, True])
 def test_exception_or_ctrl_c_ends_all_threads(
     end: Callable[[], object], error: type[BaseException], *, of_points: bool

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.optics import FIELD, sensor_of
-from support.windows import renaming_refuses_open_files
+from support.windows import open_files_stay
 
 from reconstruction.arrays import PointField
 from reconstruction.geometry import Lattice
@@ -74,7 +74,7 @@ def test_matrix_times_object_is_the_image_of_the_forward_model(
     tmp_path: Path, model: ForwardModel, field: PointField, stored: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert_same(stored, model, field)
-    renaming_refuses_open_files(monkeypatch)
+    open_files_stay(monkeypatch)
     write_matrix(tmp_path / "reference.npy", model, GRID.position_m)
     assert_same(tmp_path / "reference.npy", model, None)
 
@@ -91,7 +91,9 @@ def test_existing_file_is_left_alone(model: ForwardModel, stored: Path) -> None:
         write_matrix(stored, model, GRID.position_m)
 
 
-def test_failure_leaves_no_part(tmp_path: Path, model: ForwardModel) -> None:
+def test_failure_leaves_no_part(tmp_path: Path, model: ForwardModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    open_files_stay(monkeypatch)
+
     def fail(_x_m: float, _y_m: float) -> NDArray[np.complex64]:
         raise RuntimeError("no light")
 

@@ -169,7 +169,7 @@ def test_bad_image_raises_one_sentence(tmp_path: Path) -> None:
     for name in ("text.png", "text.tif", "cut.tif", "text.npy", "empty.png", "absent.png", "absent.npy"):
         with pytest.raises(ValueError, match=r"^file = .* is not a readable image: "):
             source.read_grey_image(tmp_path / name)
-    with pytest.raises(ValueError, match=r"is not a readable image: Is a directory$"):
+    with pytest.raises(ValueError, match=r"is not a readable image: (Is a directory|Permission denied)$"):
         source.read_grey_image(tmp_path)
     for name, array in (("3d.npy", np.ones((4, 4, 3))), ("text.npy", np.array([["a"]])), ("none.npy", np.ones((0, 3)))):
         np.save(tmp_path / name, array)
