@@ -272,7 +272,7 @@ class ForwardModel:
         return np.asarray(np.sum(parts, axis=0), np.float32)
 
     def _share_out(self, work: Callable[[int, Event], _Share], pool: ThreadPoolExecutor) -> list[_Share]:
-        """Run `work(first, ended)` in every thread; an exception in one, or Ctrl-C here, sets `ended`."""
+        """Run `work(first, ended)` here and in threads; an exception in one, or Ctrl-C, sets `ended`."""
         ended = Event()
 
         def share(first: int) -> _Share:
@@ -283,7 +283,8 @@ class ForwardModel:
                 raise
 
         try:
-            return [future.result() for future in [pool.submit(share, first) for first in range(self._threads)]]
+            others = [pool.submit(share, first) for first in range(1, self._threads)]
+            return [share(0), *(other.result() for other in others)]  # Windows lets Ctrl-C interrupt no wait
         except BaseException:  # KeyboardInterrupt, too: leaving the pool waits for its threads
             ended.set()
             raise

@@ -31,8 +31,7 @@ def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: Poi
         with part.open("wb") as file:  # no memory map: Windows neither renames nor deletes a file that is open
             np.lib.format.write_array_header_1_0(file, header)
             for start in range(0, len(position_m), _BLOCK_POINTS):
-                block = model.point_irradiances(position_m[start : start + _BLOCK_POINTS], field)
-                block.astype("<f4").tofile(file)
+                model.point_irradiances(position_m[start : start + _BLOCK_POINTS], field).astype("<f4").tofile(file)
         rename(part, path)
     finally:
         part.unlink(missing_ok=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import itertools
 import math
 import time
@@ -263,7 +264,14 @@ def fail() -> None:
 
 
 @pytest.mark.usefixtures("default_signals")
-@pytest.mark.parametrize(("end", "error"), [(fail, ArithmeticError), (press_ctrl_c, KeyboardInterrupt)])
+@pytest.mark.parametrize(
+    ("end", "error"),
+    [
+        (fail, ArithmeticError),
+        (press_ctrl_c, KeyboardInterrupt),
+        (_thread.interrupt_main, KeyboardInterrupt),  # ends no wait: as Ctrl-C on Windows
+    ],
+)
 @pytest.mark.parametrize("of_points", [False, True])
 def test_exception_or_ctrl_c_ends_all_threads(
     end: Callable[[], object], error: type[BaseException], *, of_points: bool
