@@ -33,7 +33,7 @@ def bench_toml(port: str, folder: Path) -> Path:
         + f"""
 [camera]
 driver = "dcam"
-library = "{built()}"
+library = '{built()}'
 exposure_s = 0.02
 
 [light]

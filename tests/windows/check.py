@@ -244,6 +244,23 @@ def window() -> str:
     return f"screen.png; without the window {said.strip()} more frames"
 
 
+def start_menu() -> str:
+    """The entry is opened, as by a click; its window starts an instrument, which a client ends."""
+    ADDRESS.unlink(missing_ok=True)  # of one that was killed
+    entry = Path(svwfs("desktop", "--bench", "small_demo").partition("entry: ")[2].strip())
+    try:
+        os.startfile(entry)  # type: ignore[attr-defined] # noqa: S606 - ours, of Windows
+        wait_until("an instrument", address)
+        said = python(STILL_MEASURES)
+    finally:
+        for each in psutil.Process().children(recursive=True):
+            with suppress(psutil.Error):
+                each.kill()
+        svwfs("desktop", "--remove")
+    expect(f"{entry} is still there", is_so=not entry.exists())
+    return f"{entry.name} started an instrument, {said.strip()} frames"
+
+
 def screenshot(file: Path) -> None:
     """Write the display of Xvfb, which is a file, as a picture."""
     import numpy as np  # noqa: PLC0415 - the other lines need it not
@@ -402,6 +419,7 @@ LINES: dict[str, Callable[[], str]] = {
     "measure": measure,
     "serve, with a client that records": serve,
     "live, with its window": window,
+    "desktop, opened in the start menu": start_menu,
     "recover": recover,
     "replay --verify": replay,
     "report": report,

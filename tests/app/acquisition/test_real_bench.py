@@ -50,7 +50,7 @@ def bench(camera: StandIn, port: PtyServer) -> Bench:
     text = f"""
 [camera]
 driver = "dcam"
-library = "{built()}"
+library = '{built()}'
 exposure_s = 0.02
 ring_frames = 1000
 

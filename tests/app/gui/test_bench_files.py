@@ -18,7 +18,7 @@ from app.bench.presets import PRESETS
 from app.errors import InputError
 from app.gui.shell.main_window import MainWindow
 
-LIBRARY = '[camera]\ndriver = "dcam"\nlibrary = "{}"\n[light]\ndriver = "manual"\n'
+LIBRARY = '[camera]\ndriver = "dcam"\nlibrary = \'{}\'\n[light]\ndriver = "manual"\n'
 
 
 class Opened:
@@ -131,7 +131,7 @@ def test_faulty_file_leaves_the_open_bench(benches: Opened, qtbot: QtBot, tmp_pa
 def test_library_is_loaded_only_when_it_is_trusted(
     benches: Opened, qtbot: QtBot, small_toml: Path, tmp_path: Path
 ) -> None:
-    library = tmp_path / "lib<b>evil.so"
+    library = tmp_path / "lib&lt;evil.so"
     library.write_bytes(b"code")
     text = small_toml.read_text()
     path = tmp_path / "named.toml"
@@ -139,7 +139,7 @@ def test_library_is_loaded_only_when_it_is_trusted(
     for _ in range(2):  # closing the question is no answer
         benches.window.benches.open(str(path))
         qtbot.waitUntil(benches.window.benches.dialog.isVisible)
-        assert "lib&lt;b&gt;evil" in benches.window.benches.dialog.text.text()
+        assert "lib&amp;lt;evil" in benches.window.benches.dialog.text.text()
         benches.button("Close").click()
         assert not benches.opened
         assert benches.window.benches.error is not None
