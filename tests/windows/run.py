@@ -20,7 +20,7 @@ from windows.shim import COMPILER
 
 _HERE = Path(__file__).parent
 _PYTHON = "Z:\\win\\python\\python.exe"
-OF_WINE = {  # tests that fail under Wine alone, or parts of them
+OF_WINE: dict[str, str] = {  # tests that fail under Wine alone: the reason
 }
 _VARIABLES = {
     "NUMBA_CACHE_DIR": "Z:\\win\\numba",
