@@ -42,7 +42,8 @@ class Grid(NamedTuple):
     basis: Image  # the same as coefficients (x modes, y modes), (P - 2, 2Q)
     light: Image  # I0, counts, (L, N)
     level: Image  # mean and standard deviation of I0, counts, (L, 2)
-    inverse: Image  # A, (L, P, N)
+    inverse: NDArray[np.int16]  # A over its unit, (L, P, N): half the memory, whose reading limits the speed
+    unit: Image  # of A, (L, P)
     descent: Image  # J, the steepest-descent images, (L, P, N)
     weight: Image  # of the pixels, 1 on average, 0 for unusable ones, (L, N)
     normal: Image  # J W J^T, (L, P, P)
@@ -80,7 +81,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
     `limits`: the number of iterations, and the tolerance, px. A step that increases the residual is halved; a fit that
     still increases it, or leaves all bounds, is lost. Gain and offset start from means and contrasts.
     """
-    inverse, change, limit = grid.inverse[lenslet], scratch.change, _BOUND_PX
+    inverse, unit, change, limit = grid.inverse[lenslet], grid.unit[lenslet], scratch.change, _BOUND_PX
     step = np.float32(np.inf)
     gain, offset, contrast = np.float32(1.0), np.float32(0.0), np.float32(0.0)
     gain_before, offset_before, before, square = gain, offset, np.float32(np.inf), np.float32(np.inf)
@@ -103,7 +104,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             )
             if is_partial:
                 _exclude(frame, lenslet, scratch)
-                _leave_out(inverse, grid.descent[lenslet], scratch.excluded, scratch.equations[0])
+                _leave_out(inverse, unit, grid.descent[lenslet], scratch.excluded, scratch.equations[0])
         square = _subtract(gain, offset, grid.light[lenslet], grid.weight[lenslet], scratch)
         if is_partial:
             square = _zero_excluded(grid.weight[lenslet], scratch.excluded, scratch.residual)
@@ -120,7 +121,7 @@ def fit_warp(  # noqa: C901, PLR0912 - one loop over the steps is what compiles 
             step *= np.float32(0.5)
         else:
             before, gain_before, offset_before = square, gain, offset
-            _project(inverse, scratch.residual, change)
+            _project(inverse, unit, scratch.residual, change)
             if is_partial and not _solve(scratch.equations, change):
                 return State(square, LOST_PX, gain, contrast, is_partial)
             last, step = step, np.float32(0.0)
@@ -231,13 +232,13 @@ def _zero_excluded(weight: Image, excluded: NDArray[np.bool_], residual: Image) 
 
 
 @inlined
-def _project(inverse: Image, residual: Image, change: Image) -> None:
+def _project(inverse: NDArray[np.int16], unit: Image, residual: Image, change: Image) -> None:
     """Project a residual (N,) to a change of the parameters (P,)."""
     for p in range(change.size):
         total, row = np.float32(0.0), inverse[p]
         for n in range(residual.size):
-            total += row[n] * residual[n]
-        change[p] = total
+            total += np.float32(row[n]) * residual[n]
+        change[p] = total * unit[p]
 
 
 @inlined
@@ -261,7 +262,9 @@ def _exclude(frame: FrameData, lenslet: int, scratch: Scratch) -> None:
 
 
 @inlined
-def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equations: Floats) -> None:
+def _leave_out(
+    inverse: NDArray[np.int16], unit: Image, descent: Image, excluded: NDArray[np.bool_], equations: Floats
+) -> None:
     """Compute the equations (P, P) without the excluded pixels (N,): 1 - sum A_n J_n^T over these."""
     parameters = inverse.shape[0]
     for i in range(parameters):
@@ -271,7 +274,7 @@ def _leave_out(inverse: Image, descent: Image, excluded: NDArray[np.bool_], equa
         if excluded[n]:
             for i in range(parameters):
                 for j in range(parameters):
-                    equations[i, j] -= inverse[i, n] * descent[j, n]
+                    equations[i, j] -= unit[i] * np.float32(inverse[i, n]) * descent[j, n]
 
 
 @inlined

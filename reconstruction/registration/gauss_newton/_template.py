@@ -65,8 +65,8 @@ class Template:
 
         Also the share of the information about the parameters that remains, (K,).
         """
-        inverse, descent = (np.asarray(part[lenslets], np.float64) for part in (self.grid.inverse, self.grid.descent))
-        inverse *= ~excluded[:, None]
+        grid, descent = self.grid, np.asarray(self.grid.descent[lenslets], np.float64)
+        inverse = grid.inverse[lenslets] * grid.unit[lenslets, :, None].astype(np.float64) * ~excluded[:, None]
         left = inverse @ np.swapaxes(descent, 1, 2)
         share = np.clip(np.trace(left, axis1=1, axis2=2) / left.shape[1], 0, 1)
         left[share < _NOTHING] = np.eye(left.shape[1])
@@ -234,7 +234,8 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
         basis=basis.astype(np.float32),
         light=np.empty((lenslets, count), np.float32),
         level=np.empty((lenslets, 2), np.float32),
-        inverse=np.empty((lenslets, parameters, count), np.float32),
+        inverse=np.empty((lenslets, parameters, count), np.int16),
+        unit=np.empty((lenslets, parameters), np.float32),
         descent=np.empty((lenslets, parameters, count), np.float32),
         weight=np.empty((lenslets, count), np.float32),
         normal=np.empty((lenslets, parameters, parameters), np.float32),
@@ -261,7 +262,9 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
             covariance[kind, some] = (of_brightness * variance[:, None]) @ np.swapaxes(of_brightness, 1, 2)
         descent = images.without_brightness(descent, weight)
         inverse = _least_squares(descent, weight)
-        grid.light[some], grid.weight[some], grid.inverse[some] = light, weight, inverse
+        grid.light[some], grid.weight[some] = light, weight
+        unit = np.maximum(np.abs(inverse).max(axis=-1), np.finfo(np.float32).tiny) / np.iinfo(np.int16).max
+        grid.unit[some], grid.inverse[some] = unit, np.rint(inverse / unit[..., None])
         grid.level[some] = np.stack([light.mean(axis=1), light.std(axis=1)], axis=1)
         of_brightness[:, 0] -= inverse[:, -2]  # which is in the gain already
         to_brightness[some] = of_brightness
