@@ -209,10 +209,9 @@ def principal(gram: Floats) -> tuple[Floats, Floats]:
     return np.sqrt(np.where(square > UNSEEN * square[-1], square, 0.0)), vectors
 
 
-def along_principal(frame: Whitened, columns: Floats, singular: Floats, vectors: Floats) -> Components:
-    """Components of a frame; `columns` (n,) are the design matrix's products with its whitened displacements."""
-    along = np.divide(columns @ vectors, singular, where=singular > 0, out=np.zeros_like(singular))
-    return Components(singular, along, frame.total, frame.number)
+def divided(columns: Floats, singular: Floats) -> Floats:
+    """Columns (..., n) over their singular values (n,); 0 where these are 0."""
+    return np.divide(columns, singular, where=singular > 0, out=np.zeros_like(columns))
 
 
 def require_lenslets(frame: Whitened) -> None:
@@ -315,7 +314,8 @@ class FrameEquations:
         gram = np.block([[self._product(one, other, degree, scale) for other in ratios] for one in ratios])
         columns = np.concatenate([self._columns[ratio, degree] for ratio in ratios])
         singular, vectors = principal(gram)
-        return along_principal(self._frame, columns, singular, vectors), vectors
+        along = divided(columns @ vectors, singular)
+        return Components(singular, along, self._frame.total, self._frame.number), vectors
 
     def _product(self, one: float, other: float, degree: int, scale: Floats) -> Floats:
         """Product of the design matrices of two layers in units of the prior, (k, k)."""

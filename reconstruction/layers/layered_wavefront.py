@@ -19,13 +19,13 @@ from reconstruction.layers.layer_solver import (
     LayerFit,
     LayerModes,
     LayerSolver,
-    along_principal,
+    divided,
     principal,
     prior_scale,
     require_lenslets,
 )
 from reconstruction.runtime.deferred import Deferred, Remembered
-from reconstruction.solve.evidence import Estimate
+from reconstruction.solve.evidence import Components, Estimate
 from reconstruction.solve.expected_errors import ALIKE_IN_LAYERS, Whitened
 from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Spread, known_modes
 
@@ -77,18 +77,19 @@ def _assumed(fit: LayerFit) -> AssumedSample:
 
 
 class _Design(NamedTuple):
-    """Layers at some ratios in units of the prior, for all lenslets."""
+    """Layers at some ratios for all lenslets, in independent components: data = singular x + noise."""
 
-    rows: Floats  # whitened displacements of each polynomial, (L * K, n)
-    gram: Floats  # their products, (n, n)
+    singular: Floats  # (n,); 0 where the displacements show nothing
+    vectors: Floats  # polynomials of the layers in units of the prior, (k, n)
+    across: Image  # left singular vectors, (n, L * K)
     wavefronts: Image  # rad, (column, n)
 
 
 class _Equations(NamedTuple):
-    """The same for lenslets with some shares, in independent components: data = singular x + noise."""
+    """The same for lenslets with some shares, in components of their own."""
 
-    singular: Floats  # (n,); 0 where the displacements show nothing
-    vectors: Floats  # of the components, (n, n)
+    singular: Floats  # (n,)
+    vectors: Floats | None  # in those for all lenslets, (n, n); None if these are all
     spread: Spread  # of the wavefronts of the components
 
 
@@ -96,7 +97,8 @@ class _Slopes(NamedTuple):
     """Change of the displacements with the ratio of each layer, for lenslets with some shares."""
 
     columns: NDArray[np.float32]  # of the polynomials of low degree of all layers, (m, L * K)
-    along: Floats  # their products with the design, (m, n)
+    polynomials: Floats  # these polynomials of the components for all lenslets, (m, n)
+    along: Floats  # products of the columns with the displacements of these components, (m, n)
     own: Floats  # and with each other, (m, m)
 
 
@@ -106,7 +108,7 @@ class _Fit(NamedTuple):
     design: _Design
     equations: _Equations
     estimate: Estimate
-    polynomials: Image  # in units of the prior, (n,)
+    values: Floats  # of the components for all lenslets, (n,)
     wavefront: Image  # coefficients, rad, (column,)
 
 
@@ -120,7 +122,7 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = Remembered[_Design](6)  # of 10 MB; two layers need five for their error bars
+        self._design = Remembered[_Design](6)  # of 7 MB; two layers need five for their error bars
         self._equations = Remembered[_Equations](12)
         self._slopes = Remembered[_Slopes](12)  # of 1 MB
         self._known = Remembered[KnownModes](4)
@@ -137,7 +139,7 @@ class LayeredWavefronts:
         shape = len(self._modes.pupil_modes.degree), displacement.modes.count
         coefficients = np.zeros(shape)
         coefficients[1:][columns] = fit.wavefront
-        design, (singular, _, spread), estimate, *_ = fit
+        design, (singular, _, spread), estimate, values, _ = fit
 
         def deviations() -> Deviations:
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
@@ -146,8 +148,8 @@ class LayeredWavefronts:
             return Deviations(spread, deviation.astype(np.float32), others)
 
         def fitted() -> Floats:
-            whitened = (design.rows @ fit.polynomials).reshape(frame.weighted.shape)
-            return np.asarray(np.matvec(errors.colour, whitened))
+            whitened = (design.singular * values).astype(np.float32) @ design.across
+            return np.asarray(np.matvec(errors.colour, whitened.reshape(frame.weighted.shape)))
 
         return ModalSolution(
             coefficients=coefficients,
@@ -174,34 +176,47 @@ class LayeredWavefronts:
         """Fit layers to the displacements of a frame."""
         design = self._design(self._prepared, ratios)
         equations = self._equations(self._down_dated, ratios, frame.share.tobytes())
-        singular, vectors, *_ = equations
-        estimate = along_principal(frame, frame.weighted.ravel() @ design.rows, singular, vectors).estimate()
-        polynomials = (vectors @ estimate.values).astype(np.float32)
-        return _Fit(design, equations, estimate, polynomials, design.wavefronts @ polynomials)
+        along = (design.across @ frame.weighted.ravel().astype(np.float32)).astype(np.float64)
+        if equations.vectors is not None:
+            along = divided(np.vecmat(design.singular * along, equations.vectors), equations.singular)
+        estimate = Components(equations.singular, along, frame.total, frame.number).estimate()
+        values = estimate.values if equations.vectors is None else equations.vectors @ estimate.values
+        return _Fit(design, equations, estimate, values, design.wavefronts @ values.astype(np.float32))
+
+    def _rows(self, ratios: tuple[float, ...]) -> Floats:
+        """Whitened displacements of each polynomial in units of the prior, (L * K, k).
+
+        In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.
+        """
+        degree = self.solver.degree
+        rows = np.concatenate([self.solver.rows(ratio, degree) * prior_scale(degree) for ratio in ratios], axis=2)
+        return rows.reshape(-1, rows.shape[2])
 
     def _prepared(self, ratios: tuple[float, ...]) -> _Design:
         """Design of layers at some ratios, for all lenslets."""
-        degree = self.solver.degree
-        scale = prior_scale(degree)
-        # In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.
-        rows = np.concatenate([self.solver.rows(ratio, degree) * scale for ratio in ratios], axis=2)
-        rows = rows.reshape(-1, rows.shape[2])
-        wavefronts = np.concatenate([self._modes(ratio) * scale for ratio in ratios], axis=1)
+        rows, scale = self._rows(ratios), prior_scale(self.solver.degree)
+        singular, vectors = principal(rows.T @ rows)
+        across = divided(rows @ vectors, singular).astype(np.float32).T.copy()
+        wavefronts = np.concatenate([self._modes(ratio) * scale for ratio in ratios], axis=1) @ vectors
         wavefronts[np.abs(wavefronts) < _NEGLIGIBLE_RAD] = 0
-        return _Design(rows, rows.T @ rows, wavefronts.astype(np.float32))
+        return _Design(singular, vectors, across, wavefronts.astype(np.float32))
 
     def _down_dated(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Equations:
         """Equations of lenslets with some shares (L,) of their certainty."""
         design, share = self._design(self._prepared, ratios), np.frombuffer(share_bytes)
         lost = np.flatnonzero(self.solver.errors.is_usable & (share < 1))
-        missing = design.rows.reshape(len(share), -1, len(design.gram))[lost]
-        weighted = (1 - share[lost, None, None]) * missing
-        gram = design.gram - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
+        singular, vectors, wavefronts = design.singular, None, design.wavefronts
+        if lost.size:
+            rows = self._rows(ratios)
+            missing = rows.reshape(len(share), -1, rows.shape[1])[lost] @ design.vectors
+            weighted = (1 - share[lost, None, None]) * missing
+            gram = np.diag(singular**2) - np.tensordot(missing, weighted, axes=([0, 1], [0, 1]))
+            singular, vectors = principal(gram)
+            wavefronts = wavefronts @ vectors.astype(np.float32)
         modes = self._modes.pupil_modes
         known = known_modes(modes, (share > 0).reshape(modes.inside.shape), extrapolate=True)
-        singular, vectors = principal(gram)
         components = np.zeros((*self._modes.columns.shape, len(singular)), np.float32)
-        components[self._modes.columns] = design.wavefronts @ vectors.astype(np.float32)
+        components[self._modes.columns] = wavefronts
         return _Equations(singular, vectors, Spread(components, known))
 
     def _shift_sigmas(self, sample: AssumedSample, frame: Whitened, fit: _Fit) -> float:
@@ -209,12 +224,13 @@ class LayeredWavefronts:
 
         The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
         """
-        columns, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
+        columns, polynomials, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
         (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
         low = len(own) // len(alone)  # of each layer
-        phase = np.repeat(alone, low, axis=1) * fit.polynomials.reshape(len(alone), -1)[:, :low].ravel()  # (layer, m)
-        score = phase @ (columns @ frame.weighted.ravel().astype(np.float32) - along @ fit.polynomials)
-        explained = (phase @ along @ vectors) / np.sqrt(singular**2 + 1 / estimate.ratio)  # by the phase itself
+        phase = np.repeat(alone, low, axis=1) * (polynomials @ fit.values)  # (layer, m)
+        score = phase @ (columns @ frame.weighted.ravel().astype(np.float32) - along @ fit.values)
+        explained = phase @ along if vectors is None else phase @ along @ vectors
+        explained /= np.sqrt(singular**2 + 1 / estimate.ratio)  # by the phase itself
         normal = phase @ own @ phase.T - explained @ explained.T
         variance = self.solver.errors.larger(estimate.noise, ALIKE_IN_LAYERS) * normal + _TINY * alone
         if sample.covariance is not None:
@@ -223,15 +239,21 @@ class LayeredWavefronts:
 
     def _per_ratio(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Slopes:
         """Slopes for lenslets with some shares (L,) of their certainty."""
-        design, share = self._design(self._prepared, ratios).rows, np.frombuffer(share_bytes)
+        rows, vectors, share = (
+            self._rows(ratios),
+            self._design(self._prepared, ratios).vectors,
+            np.frombuffer(share_bytes),
+        )
         degree, change = min(SKETCH_DEGREE, self.solver.degree), []
         for ratio in ratios:
             step = _STEP * (1 + abs(ratio))
             before, after = (self.solver.rows(ratio + side * step, degree) for side in (-1, 1))
-            change.append((after - before).reshape(len(design), -1) * prior_scale(degree) / (2 * step))
+            change.append((after - before).reshape(len(rows), -1) * prior_scale(degree) / (2 * step))
         columns = np.concatenate(change, axis=1).T
-        weighted = np.repeat(share, len(design) // len(share)) * columns
-        return _Slopes(columns.astype(np.float32, order="C"), weighted @ design, weighted @ columns.T)
+        low = vectors.reshape(len(ratios), -1, len(vectors))[:, : len(columns) // len(ratios)]
+        along = np.repeat(share, len(rows) // len(share)) * columns
+        polynomials = low.reshape(len(columns), -1)
+        return _Slopes(columns.astype(np.float32, order="C"), polynomials, along @ rows @ vectors, along @ columns.T)
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
         """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
