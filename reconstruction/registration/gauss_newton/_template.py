@@ -66,7 +66,7 @@ class Template:
         Also the share of the information about the parameters that remains, (K,).
         """
         grid, descent = self.grid, np.asarray(self.grid.descent[lenslets], np.float64)
-        inverse = grid.inverse[lenslets] * grid.unit[lenslets, :, None].astype(np.float64) * ~excluded[:, None]
+        inverse = np.asarray(grid.inverse[lenslets], np.float64) * grid.unit[lenslets, :, None] * ~excluded[:, None]
         left = inverse @ np.swapaxes(descent, 1, 2)
         share = np.clip(np.trace(left, axis1=1, axis2=2) / left.shape[1], 0, 1)
         left[share < _NOTHING] = np.eye(left.shape[1])
