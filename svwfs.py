@@ -157,7 +157,7 @@ def to_dataset(wavefront: Wavefront) -> xr.Dataset:
     from app.results.dataset import result_dataset
     from app.results.sources import measured
 
-    return result_dataset(measured(wavefront))
+    return result_dataset(measured(wavefront)).copy(deep=True)  # values in it may be changed
 
 
 def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
@@ -175,7 +175,7 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     Raises
     ------
     InputError
-        If the name is that of another format.
+        If the name is that of another format, or the wavefront was measured with another bench.
     RunError
         If the file cannot be written.
 
@@ -184,13 +184,17 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     >>> svwfs.save_result("result.nc", wavefront, bench)
     """
     from app.bench.config import as_bench
+    from app.errors import InputError
     from app.files import check_suffix
     from app.results.dataset import result_dataset
     from app.results.result_file import write_results
     from app.results.sources import measured
 
     check_suffix(Path(path), ".nc")
-    write_results(Path(path), result_dataset(measured(wavefront)), bench=as_bench(bench), inputs={})
+    known = as_bench(bench)
+    if (known.sensor, known.field) != (measured(wavefront).sensor, wavefront.field):
+        raise InputError("the wavefront was measured with another sensor or field than the bench's")
+    write_results(Path(path), result_dataset(wavefront), bench=known, inputs={})
 
 
 def open_result(path: str | Path) -> xr.Dataset:

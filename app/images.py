@@ -83,7 +83,7 @@ def _read(path: Path) -> NDArray[Any]:
 def _read_tiff(path: Path) -> NDArray[Any]:
     """Read the only image of a file, besides previews, turned as its tag says."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
-    with tifffile.TiffFile(path) as file:
+    with tifffile.TiffFile(path, is_ome=False) as file:  # OME's text may claim any number of planes
         images = [series for series in file.series if not series.keyframe.is_reduced]
         (series,) = _only(images)
         if math.prod(series.shape) > _MOST_PIXELS:

@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Literal, Self, TypeAlias
 
+import numpy as np
+
 from drivers.errors import BadValue, Disconnected, WrongState
 
 Property: TypeAlias = str | float | int | bool
@@ -92,6 +94,13 @@ class Range:
     def nearest(self, value: float) -> float:
         """Return the allowed value that is nearest to `value`."""
         return min(max(value, self.minimum), self.maximum)
+
+
+def switched(on: object) -> bool:
+    """Return the state for a switch; `BadValue` unless it is True or False: "off" would switch it on."""
+    if not isinstance(on, bool | np.bool_):
+        raise BadValue(f"a switch takes True or False, not {on!r:.40}")
+    return bool(on)
 
 
 def choose(wanted: str, devices: Sequence[Collection[str]], *, what: str, setting: str) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from drivers.camera import NO_FRAME, Camera, CameraCapabilities, CameraState, Frame, Region
-from drivers.device import Device, Property, Range
+from drivers.device import Device, Property, Range, switched
 from drivers.errors import (
     REFUSALS,
     BadValue,
@@ -49,6 +49,7 @@ __all__ = [
     "Stage",
     "Unsupported",
     "WrongState",
+    "switched",
 ]
 
 

@@ -17,7 +17,7 @@ from weakref import WeakSet
 import numpy as np
 from typing_extensions import Doc
 
-from drivers.device import Device, Property, Range
+from drivers.device import Device, Property, Range, switched
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff
 
 KEPT_CURRENT = Doc("Omitted: it keeps its value")  # help of settings that lights share
@@ -145,6 +145,7 @@ class LightSource(Device):
         Any thread may switch it off; that waits for one call of the other thread at most. `LightHeldOff` if it has gone
         off since the present command was made: see `OffCount`.
         """
+        on = switched(on)
         with self._guarded():
             if on and not self._is_lit():
                 self._check_may_light()

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.device import Range
+from drivers.device import Range, switched
 from drivers.errors import WrongState
 from drivers.light_source import LightSource
 
@@ -29,13 +29,12 @@ class ManualLight(LightSource):
     def note_light(self, on: bool) -> None:
         """Record that a person has switched the light."""
         with self._access():
-            self._is_noted_on = on
-            self._is_noted_lit = on
+            self._is_noted_on = self._is_noted_lit = switched(on)
 
     def set_on(self, on: bool) -> None:
         """Raise `WrongState` unless a person has noted that it is so."""
         with self._access():
-            if on != self._is_noted_on:
+            if switched(on) != self._is_noted_on:
                 raise WrongState(f"the light is manual: switch it {'on' if on else 'off'} by hand, then confirm (L)")
 
     def _read_range(self) -> Range:

@@ -2,7 +2,7 @@
 
 from abc import abstractmethod
 
-from drivers.device import Device, Property
+from drivers.device import Device, Property, switched
 from drivers.errors import BadValue, WrongState
 
 
@@ -46,7 +46,7 @@ class Stage(Device):
     def set_sample_in(self, is_in: bool) -> None:
         """Move the sample into or out of the beam."""
         with self._access():
-            self._set_sample_in(is_in=is_in)
+            self._set_sample_in(is_in=switched(is_in))
 
     def note_sample(self, is_in: bool) -> None:
         """Move the sample, or without a motor record that a person has moved it."""
@@ -81,7 +81,7 @@ class ManualStage(Stage):
     def note_sample(self, is_in: bool) -> None:
         """Record that a person has moved the sample."""
         with self._access():
-            self._is_in = is_in
+            self._is_in = switched(is_in)
 
     def _is_sample_in(self) -> bool:
         return self._is_in

@@ -40,7 +40,9 @@ class Wavefront:
         cls, sensor: Sensor, field: Field, displacement: Displacement, solution: Solution, sample: AssumedSample = FREE
     ) -> Self:
         """Evaluate a solution at the views of the field."""
-        return cls(sensor, field, displacement, solution, _at_views(field, displacement, solution.wavefront), sample)
+        views = _at_views(field, displacement, solution.wavefront)
+        views.setflags(write=False)
+        return cls(sensor, field, displacement, solution, views, sample)
 
     @property
     def coefficients(self) -> Floats | None:

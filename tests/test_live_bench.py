@@ -88,6 +88,7 @@ def test_exposure_gain_and_light_are_set(bench: Bench) -> None:
         live.set_light(False)
         with pytest.raises(svwfs.BadValue, match="True or False, not 'off'"):
             live.set_light("off")  # type: ignore[arg-type] # would light it
+        live.set_light(np.bool_(False))  # type: ignore[arg-type] # of a calculation
         assert not next(iter(live)).light.is_on  # type: ignore[union-attr] # it was asked
         with pytest.raises((TypeError, ValueError)):
             live.set_light_current("much")  # type: ignore[arg-type] # no number

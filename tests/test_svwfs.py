@@ -69,6 +69,42 @@ def test_every_name_exists_and_is_documented(name: str) -> None:
     assert name in dir(svwfs)
 
 
+def test_images_may_be_reused_before_the_first_frame(
+    bench: Bench, images: SimulatedFrames, wavefront: svwfs.Wavefront
+) -> None:
+    reference, dark = images.reference.copy(), images.dark.copy()
+    reconstruct = svwfs.reconstructor(bench, reference, dark=dark)
+    reference[:] = dark[:] = 0
+    np.testing.assert_array_equal(reconstruct(images.frames[0]).views, wavefront.views)
+
+
+def test_wavefront_cannot_be_changed_but_its_dataset_can(wavefront: svwfs.Wavefront) -> None:
+    before = wavefront.views.copy(), wavefront.displacement.coefficients.copy()
+    with pytest.raises(ValueError, match="read-only"):
+        wavefront.views[:] = 0
+    dataset = svwfs.to_dataset(wavefront)
+    for name in ("wavefront", "displacement"):
+        dataset[name] *= 2
+    np.testing.assert_array_equal(wavefront.views, before[0])
+    np.testing.assert_array_equal(wavefront.displacement.coefficients, before[1])
+
+
+def test_arguments_that_do_not_fit_are_refused(
+    tmp_path: Path, bench: Bench, images: SimulatedFrames, wavefront: svwfs.Wavefront
+) -> None:
+    reconstruct = svwfs.reconstructor(bench, images.reference)
+    other = replace(bench, sensor=replace(bench.sensor, wavelength_m=5e-7))
+    wrong: dict[str, Callable[[], object]] = {
+        "order must be a whole number": lambda: svwfs.field_coefficients(wavefront, order=2.5),  # type: ignore[arg-type] # refused
+        "a wavefront is needed": lambda: svwfs.find_layers(wavefront, reconstruct),  # type: ignore[arg-type] # refused
+        "cannot have the name 5": lambda: svwfs.connect(5),  # type: ignore[arg-type] # refused
+        "another sensor or field": lambda: svwfs.save_result(tmp_path / "out.nc", wavefront, other),
+    }
+    for sentence, call in wrong.items():
+        with pytest.raises(svwfs.InputError, match=sentence):
+            call()
+
+
 @pytest.mark.slow
 @pytest.mark.long
 def test_refinement_reduces_the_error(bench: Bench) -> None:

@@ -140,7 +140,7 @@ def _clear(name: str) -> None:
 
 def file_of(name: str, ending: str) -> Path:
     """Path of a file of an instrument; `InputError` if that cannot be its name."""
-    if not name.isidentifier():
+    if not (isinstance(name, str) and name.isidentifier()):
         raise InputError(f"an instrument cannot have the name {name!r}: use letters, digits and _")
     if problem := file_name_problem(name):
         raise InputError(f"an instrument cannot have the name {name!r}: it {problem}")
@@ -163,6 +163,8 @@ def runtime_folder() -> Path:
         raise RunError(f"{made} cannot be made for the instrument's address: {error.strerror}") from error
     if sys.platform != "win32":
         found = made.lstat()  # a link is refused, too
-        if found.st_uid != os.getuid() or stat.S_IMODE(found.st_mode) & 0o077:
-            raise RunError(f"{made} belongs to another user or is open to others: remove it")
+        if found.st_uid != os.getuid():  # only root or that user can remove it
+            raise RunError(f"{made} belongs to another user: set {_FOLDER} to a folder of yours, in every program")
+        if stat.S_IMODE(found.st_mode) & 0o077:
+            raise RunError(f"{made} is open to others: remove it, or chmod 700 it")
     return made

@@ -8,16 +8,10 @@ from functools import partial
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition.instrument import Instrument
-from app.errors import InputError
-from app.measurement.routines import Cancelled, RoutineError
-from drivers.interface import BadValue, OffCount, Unsupported, WrongState
-from reconstruction.errors import ReconstructionError
+from drivers.interface import REFUSALS, DeviceError, OffCount, WrongState
 
 P = ParamSpec("P")
 T = TypeVar("T")
-
-# passed to the caller; the thread goes on
-_HARMLESS = (Cancelled, RoutineError, ReconstructionError, InputError, BadValue, Unsupported, WrongState)
 
 
 def done() -> Future[None]:
@@ -30,8 +24,9 @@ def done() -> Future[None]:
 class CommandQueue:
     """Accepts commands from any thread until it is closed; each gets a future.
 
-    `afterwards` runs after a command that did not stop the worker, before its future resolves. A command may not light
-    a light that has gone off since it was submitted. None begins while another thread holds `lock`.
+    An error of a command goes to its future, whatever it is; only a failing device ends the worker. `afterwards` runs
+    after each other command, before its future resolves. A command may not light a light that has gone off since it was
+    submitted. None begins while another thread holds `lock`.
     """
 
     def __init__(self, off_count: OffCount, afterwards: Callable[[Instrument], None]) -> None:
@@ -54,7 +49,9 @@ class CommandQueue:
             try:
                 try:
                     resolve = partial(future.set_result, command(instrument, *arguments, **named))
-                except _HARMLESS as error:
+                except Exception as error:
+                    if isinstance(error, DeviceError) and not isinstance(error, REFUSALS):
+                        raise
                     resolve = partial(future.set_exception, error)
                 self._afterwards(instrument)
             except BaseException as error:
@@ -78,7 +75,7 @@ class CommandQueue:
     def next(self, timeout_s: float = 0.0) -> Callable[[Instrument], None] | None:
         """Remove the next command, to be called by the worker; None if none arrives within `timeout_s`.
 
-        The command raises only errors that end the worker: a failing device or a bug.
+        The command raises only errors that end the worker.
         """
         if self.is_empty and not timeout_s:  # without the lock: between two frames nothing may wait for it
             return None

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
 from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, changes_in_words, with_known, write_bench
+from app.bench.settings_schema import fits
 from app.measurement.auto_exposure import AutoExposure, auto_expose
 from app.measurement.averages import (
     EXPOSURE_FRAMES,
@@ -40,7 +41,7 @@ from app.progress import counted
 from app.recording.playback_devices import RecordedLight
 from app.recording.recorder import NO_LIMIT, Recorder, RecordingLimit
 from app.timing import Timings
-from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState
+from drivers.interface import BadValue, CameraCapabilities, Devices, Frame, Property, Range, WrongState, switched
 from reconstruction.displacement import Displacement
 from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.linearity_fit import MeasuredLinearity
@@ -221,7 +222,7 @@ class Instrument:
 
     def set_running(self, is_running: bool) -> None:
         """Start or stop the camera, unless it is so already."""
-        if not is_running:
+        if not switched(is_running):
             self.devices.camera.stop()
         elif not self.devices.camera.is_running:
             self.devices.camera.start()
@@ -499,4 +500,6 @@ def _changed(bench: Bench, changes: Sequence[tuple[str, Any]]) -> Bench:
         else:
             new = replace(getattr(bench, section), **{key: value}) if key else value
             bench = replace(bench, **{section: new})
+    if not fits(bench, Bench):
+        raise ValueError("a setting has a wrong type")
     return bench

@@ -23,7 +23,7 @@ from app.measurement.measurement import Measurement
 from app.measurement.offline_reconstructor import whole_number
 from app.progress import Progress, counted
 from app.recording.recorder import RecordingLimit, RecordingState
-from drivers.interface import BadValue, WrongState
+from drivers.interface import WrongState
 from reconstruction.frame.linearity_fit import MeasuredLinearity
 
 T = TypeVar("T")
@@ -246,8 +246,6 @@ class LiveBench:
         """Switch the light, or note that you switched it by hand. Off works at once, and ends a routine."""
         if not on and not self._bench.has_manual_light:
             self._result(self._acquisition.switch_light_off())
-        if not isinstance(on, bool):  # "off" would light it
-            raise BadValue(f"the light is switched with True or False, not {on!r:.40}")
         self._changed(partial(self._acquisition.set_light_on, on))
 
     def auto_expose(self) -> float:
@@ -278,16 +276,16 @@ class LiveBench:
         RunError
             If the recording ended early; the frames so far are kept.
         """
-        acquisition, status = self._acquisition, self._status()
+        acquisition, status, folder = self._acquisition, self._status(), Path(folder).expanduser()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))
         is_played = self._bench.is_recording  # each of its frames counts
         if is_first := not status.is_running and (is_played or not status.has_background_estimator):
-            self._result(acquisition.start_recording(Path(folder), command=command, limit=limit))
+            self._result(acquisition.start_recording(folder, command=command, limit=limit))
         self._start_camera()
         if not is_first:
             text = "finding layers and correction with the first frames"
             self._wait(lambda: knows_sample(acquisition) or not acquisition.is_alive, text)
-            self._result(acquisition.start_recording(Path(folder), command=command, limit=limit))
+            self._result(acquisition.start_recording(folder, command=command, limit=limit))
 
         def fraction() -> float:
             return 0.0 if acquisition.recording is None else acquisition.recording.frames / frames
@@ -303,7 +301,7 @@ class LiveBench:
         if (state := acquisition.recording) is not None and state.problem:
             self._raise_failure()
             raise RunError(state.problem)
-        return Path(folder)
+        return folder
 
     def _start_camera(self) -> None:
         self._result(self._acquisition.set_running(True))

@@ -70,14 +70,21 @@ def _reader(cls: Any) -> "TypeAdapter[tuple[Any]]":
 
 def fits(value: object, kind: Any) -> bool:
     """Return whether a value, and what it holds, has an annotated type."""
-    from pydantic import TypeAdapter, ValidationError
+    from pydantic import ValidationError
 
-    checks: Any = {"strict": True, "revalidate_instances": "always", "arbitrary_types_allowed": True}
     try:
-        TypeAdapter(tuple[kind], config=checks).validate_python((value,))
+        _checker(kind).validate_python((value,))
     except ValidationError:
         return False
     return True
+
+
+@cache
+def _checker(kind: Any) -> "TypeAdapter[tuple[Any]]":
+    from pydantic import TypeAdapter
+
+    checks: Any = {"strict": True, "revalidate_instances": "always", "arbitrary_types_allowed": True}
+    return TypeAdapter(tuple[kind], config=checks)
 
 
 def _plain(value: Any) -> Any:

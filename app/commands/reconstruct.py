@@ -64,7 +64,9 @@ def reconstruct(
             progress("modelling the bench", 0.0)
             wavefront = reconstructor.refined(image, refine, seen=note_round)
         quality = reconstructor.quality(image, wavefront)
-        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image))
+        is_live = loaded.reconstruction.refine and not refine
+        live_note = "reconstruction.refine = true holds for live frames: here give --refine N" * is_live
+        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image), live_note)
     except ReconstructionError as error:
         paths = {"frame": frame, "dark": dark}
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error

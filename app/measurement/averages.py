@@ -35,9 +35,9 @@ class Average:
 
     @classmethod
     def of_image(cls, image: Counts) -> Self:
-        """Take an image (row, column), counts, as it is, whatever its type; nothing else is known of it."""
+        """Copy an image (row, column), counts, of any type; nothing else is known of it."""
         unknown = np.broadcast_to(np.float32(np.nan), image.shape)
-        return cls(cast("NDArray[np.float32]", image), unknown, 1, np.nan, np.nan, "")
+        return cls(cast("NDArray[np.float32]", image.copy()), unknown, 1, np.nan, np.nan, "")
 
 
 def average(camera: Camera, frames: int, callbacks: RoutineCallbacks) -> Average:

@@ -138,8 +138,11 @@ def field_coefficients(
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
+    from app.measurement.offline_reconstructor import whole_number
+
+    order = None if order is None else whole_number(order, "order")
     found = fit_coefficients(ModalFit.of(measured(wavefront)), basis, order)
-    return field_dataset(found, wavefront.sensor, wavefront.field, positions=positions)
+    return field_dataset(found, wavefront.sensor, wavefront.field, positions=whole_number(positions, "positions"))
 
 
 def field_dataset(

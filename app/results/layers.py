@@ -73,8 +73,9 @@ def find_layers(
     >>> bool(abs(layers["distance_m"].item() - 0.195) < 0.005)  # as the bench says
     True
     """
+    wavefront = measured(wavefront)
     ratios = tuple(ratio_at(distance_m, "lenslets", reconstructor.bench) for distance_m in distances_m)
-    found = search_layers(reconstructor.layers(measured(wavefront)), count, at=ratios)
+    found = search_layers(reconstructor.layers(wavefront), count, at=ratios)
     return layers_dataset(found, reconstructor.bench, "lenslets")
 
 

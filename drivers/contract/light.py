@@ -17,7 +17,7 @@ def check_identity(light: LightSource) -> None:
 
 
 def check_switches(light: LightSource) -> None:
-    """It switches on and off, each also twice, and keeps its current."""
+    """It switches on and off, each also twice, keeps its current, and refuses what is neither True nor False."""
     current_a = light.set_current(_middle_a(light))
     for on in (True, True, False, False, True, False):
         light.set_on(on)
@@ -25,6 +25,9 @@ def check_switches(light: LightSource) -> None:
         require(
             light.current_a == current_a, f"switching changed the current from {current_a} A to {light.current_a} A"
         )
+    for word in ("off", 1, None):
+        require_raises(BadValue, f"the switch {word!r}", light.set_on, word)
+    require(not light.is_on, "a refused switch lit it")
 
 
 def check_currents(light: LightSource) -> None:

@@ -78,6 +78,14 @@ def test_negative_is_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "negative.tif")
 
 
+def test_planes_that_only_a_text_claims_are_not_made(tmp_path: Path) -> None:
+    pixels = 'DimensionOrder="XYZCT" Type="uint16" SizeX="4" SizeY="3" SizeZ="1" SizeC="1" SizeT="1000000"'
+    text = f'<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0"><Pixels {pixels}'
+    text += ' ID="Pixels:0"><TiffData/></Pixels></Image></OME>'
+    tifffile.imwrite(tmp_path / "ome.tif", IMAGE, description=text, metadata=None)
+    np.testing.assert_array_equal(read_image(tmp_path / "ome.tif"), IMAGE)
+
+
 @pytest.mark.slow
 def test_image_files_that_lie_are_refused(tmp_path: Path) -> None:
     header = np.lib.format.MAGIC_PREFIX + b"\x01\x00v\x00"

@@ -24,6 +24,15 @@ def test_light_counts_as_on_until_a_person_says_otherwise() -> None:
     assert light.is_on
 
 
+def test_word_is_no_switch() -> None:
+    light = ManualLight()
+    light.note_light(False)
+    for switch in (light.note_light, light.set_on):
+        with pytest.raises(BadValue, match="a switch takes True or False, not 'off'"):
+            switch("off")  # type: ignore[arg-type] # refused
+    assert not light.is_on
+
+
 def test_light_has_no_current() -> None:
     light = ManualLight()
     assert light.current_range_a == Range(0, 0)

@@ -25,6 +25,9 @@ def check_sample(stage: Stage) -> None:
     for is_in in (True, False, True, False):
         stage.set_sample_in(is_in)
         require(stage.is_sample_in is is_in, f"the sample is not {'in' if is_in else 'out'}")
+    for move in (stage.set_sample_in, stage.note_sample):
+        require_raises(BadValue, "the switch 'out'", move, "out")
+    require(not stage.is_sample_in, "a refused switch moved the sample")
 
 
 class StageContract:

@@ -7,6 +7,7 @@ control; the others watch. A client that falls silent loses it; the measurement 
 import inspect
 import math
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -156,7 +157,7 @@ class Server:
             client.heard_s = now_s
         if isinstance(message, Command):
             self._execute(identity, message)
-        elif isinstance(message, Hello) and client is None and fits(message.pause_s, float) and message.pause_s >= 0:
+        elif isinstance(message, Hello) and client is None and fits(message, Hello) and message.pause_s >= 0:
             self._clients[identity] = _Client(message.name, message.pause_s, now_s)
             self._ask_for_frames()
             if message.takes_control and not self._controller:
@@ -210,6 +211,8 @@ class Server:
     def _answer(self, identity: bytes, command: Command, future: Future[Any]) -> None:
         failure, count = future.exception(), 0
         result, error = (future.result(), None) if failure is None else (None, portable_error(failure))
+        if error is not None and not isinstance(failure, type(error)):  # unexpected: the log shows where
+            traceback.print_exception(failure)
         if command.request != "part":
             count = self._frames.count
             self._tell_state()

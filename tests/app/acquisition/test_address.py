@@ -41,6 +41,14 @@ def test_the_ring_of_a_killed_instrument_is_removed(monkeypatch: pytest.MonkeyPa
     assert left == ["instrument.lock", "other.json", "other.ring"]
 
 
+@pytest.mark.posix
+def test_folder_of_another_user_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    of_another = os.getuid() + 1
+    monkeypatch.setattr("os.getuid", lambda: of_another)
+    with pytest.raises(RunError, match="belongs to another user: set SVWFS_RUNTIME_DIR to a folder of yours"):
+        runtime_folder()
+
+
 def test_log_that_has_grown_begins_anew_without_zeros() -> None:
     """As on Windows, the place where a process prints does not follow the end of the file."""
     with file_of("instrument", "log").open("wb") as log:

@@ -18,7 +18,7 @@ def _fail_with(error: Exception) -> NoReturn:
     raise error
 
 
-@pytest.mark.parametrize("error", [None, BadValue("no such exposure")])
+@pytest.mark.parametrize("error", [None, BadValue("no such exposure"), ValueError("fault"), MemoryError()])
 def test_afterwards_runs_before_future_resolves(error: Exception | None) -> None:
     was_told: list[bool] = []
     commands = CommandQueue(OffCount(), lambda _: was_told.append(future.done()))

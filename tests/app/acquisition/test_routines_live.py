@@ -203,6 +203,15 @@ def test_refused_mask_leaves_the_settings(live: Live) -> None:
     assert live.status.bench == before
 
 
+def test_setting_of_a_wrong_type_is_refused(live: Live) -> None:
+    started(live)
+    before = live.status.bench
+    for section in ("reconstruction", "sensor", "lattice.pitch_px"):
+        with pytest.raises(BadValue):
+            live.acquisition.change_settings([(section, None)]).result(HANG_S)
+    assert live.status.bench == before
+
+
 def test_recorded_dark_and_reference_are_used(live: Live) -> None:
     started(live)
     kept = live.acquisition.commands.submit(lambda instrument: instrument.calibration).result(HANG_S)

@@ -39,6 +39,7 @@ def test_strangers_are_not_heard(server: Server) -> None:
             [server.address.key.encode(), encoded(Command(1, "shut_down"))],  # without a hello
             [server.address.key.encode(), encoded(Hello("no number", True, "abc"))],  # type: ignore[arg-type] # wrong
             [server.address.key.encode(), encoded(Hello("no time", True, math.nan))],
+            [server.address.key.encode(), encoded(Hello([1], True, 0.0))],  # type: ignore[arg-type] # no name
             [server.address.key.encode(), encoded(Bye()), b"more"],
         ]
         with context.socket(zmq.DEALER) as socket:
