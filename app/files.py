@@ -79,7 +79,7 @@ def check_writable(folder: Path) -> None:
 
 
 def _check_names(path: Path) -> None:
-    """Raise `InputError` if a part of a path cannot be a name under Windows, which may write elsewhere."""
+    """Raise `InputError` if Windows forbids a part of a path as a name; it might write to another file."""
     for name in path.parts[bool(path.anchor) :] if sys.platform == "win32" else ():
         if name != ".." and (problem := file_name_problem(name)):
             raise InputError(f"{path}: the name {name} {problem}")
@@ -90,10 +90,10 @@ def file_name_problem(name: str) -> str:
     if found := _FORBIDDEN.search(name):
         return f"cannot contain {found[0] if found[0].isprintable() else 'control characters'}"
     if name.endswith((".", " ")):
-        return "cannot end with a point or a space"
+        return "cannot end with a dot or a space"
     if len(name) > 255:
-        return "is too long"
-    return "belongs to a device under Windows" if _DEVICE.fullmatch(name) else ""
+        return "has more than 255 characters"
+    return "is reserved by Windows for a device" if _DEVICE.fullmatch(name) else ""
 
 
 def reachable(path: Path) -> Path:
@@ -173,7 +173,7 @@ def _is_recorded(path: Path) -> bool:
 def check_suffix(path: Path | None, *suffixes: str) -> None:
     """Raise `InputError` if a name has another suffix than those of the format that will be written."""
     if path is not None and path.suffix.lower() not in {"", *suffixes}:
-        raise InputError(f"{path}: the file will not be what its name says: end it with {suffixes[0]}")
+        raise InputError(f"{path}: {path.suffix} does not fit the format: end the name with {suffixes[0]}")
 
 
 def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:

@@ -244,7 +244,7 @@ def test_command_gives_the_same_wavefront(
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
-    with pytest.raises(svwfs.InputError, match=r"end it with \.nc"):
+    with pytest.raises(svwfs.InputError, match=r"end the name with \.nc"):
         svwfs.save_result(tmp_path / "r.csv", reconstruct(images.frames[0]), reconstruct.bench)
     with svwfs.open_result(tmp_path / "r.nc") as result:
         (tmp_path / "b.toml").write_text(result.attrs["bench"])

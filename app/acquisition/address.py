@@ -112,7 +112,7 @@ def _lock(name: str, timeout_s: float) -> Iterator[None]:
         until_s = time.monotonic() + timeout_s
         while not has_locked(lock):
             if time.monotonic() > until_s:
-                raise RunError(f"an instrument runs as {name} already: stop it first, or use another --name")
+                raise RunError(f"an instrument named {name} is running already: stop it, or choose another --name")
             time.sleep(0.01)
         if sys.platform != "win32":
             stack.callback(os.close, folder := os.open(runtime_folder(), os.O_RDONLY))

@@ -98,7 +98,7 @@ def test_windows_refuses_such_an_output_and_linux_does_not(tmp_path: Path, monke
     monkeypatch.setattr("app.files.sys.platform", "win32")
     with pytest.raises(InputError, match=r"the name a\?b cannot contain \?$"):
         check_outputs([output], overwrite=False)
-    with pytest.raises(InputError, match=r"the name nul.nc belongs to a device under Windows$"):
+    with pytest.raises(InputError, match=r"the name nul.nc is reserved by Windows for a device$"):
         check_outputs([tmp_path / ".." / output.name], overwrite=False)
     check_outputs([tmp_path / ".." / "new.nc"], overwrite=False)
 
@@ -158,9 +158,8 @@ def test_parts_of_any_recording_are_never_replaced(tmp_path: Path) -> None:
 
 def test_name_of_another_format_is_refused() -> None:
     for name in ("frame.tif", "run/plot.PNG", "bench.toml", "result.txt", "result.v2"):
-        with pytest.raises(
-            InputError, match=re.escape(f"{Path(name)}: the file will not be what its name says: end it with .nc")
-        ):
+        said = f"{Path(name)}: {Path(name).suffix} does not fit the format: end the name with .nc"
+        with pytest.raises(InputError, match=re.escape(said)):
             check_suffix(Path(name), ".nc")
     for path in (Path("result"), Path("result.NC"), None):
         check_suffix(path, ".nc")

@@ -36,7 +36,7 @@ _SETTLE_MS = 2000  # numbers, plots in the background and notices
 _SCREENS = ((1440, 900, "dark"), (1280, 800, "light"), (1920, 1080, "dark"))  # px, theme
 _IN_DOCS = {"live": "window", "recorded": "window_recorded", "replay": "window_replay"}
 _DOCS_WIDTH = 1100  # px
-_DIALOGS = ("Shortcuts and conventions", "Message log", "Documentation", "About svwfs", "Choose the sensor region")
+_DIALOGS = ("Shortcuts and conventions…", "Message log…", "Documentation…", "About svwfs…", "Choose the sensor region…")
 
 
 class Photographer:
@@ -108,7 +108,7 @@ class Photographer:
         for action in window.findChildren(QAction):
             if action.text() in _DIALOGS:
                 action.trigger()
-                self._save_dialogs(action.text().lower().replace(" ", "_"), window)
+                self._save_dialogs(action.text().rstrip("…").lower().replace(" ", "_"), window)
         window.benches.edit()
         self._save_dialogs("settings", window)
         window.benches.open("missing.toml")

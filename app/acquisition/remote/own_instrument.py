@@ -67,8 +67,8 @@ class OwnInstrument:
         if is_taken(self.name):
             named = "" if self.name == NAME else f" --name {self.name}"
             raise NameTaken(
-                f"an instrument runs as {self.name} already: svwfs live --attach{named} shows it; another one needs a"
-                " --name"
+                f"an instrument named {self.name} is running already: show it (svwfs live --attach{named}), or start"
+                " another one with --name"
             )
         file, self._bench = Path(self._folder.name, "bench.toml"), bench
         file.parent.mkdir(mode=0o700, exist_ok=True)

@@ -47,12 +47,12 @@ class ControlsPanel(Panel):
         about = "Mask in front of the light; a new mask needs a new reference (R)"
         self.choices["mask"] = _choice(about, self._want("mask"))
         about = "Correct systematic errors by a simulation of your bench; the verdict has the correction's age (F)"
-        self.refine = Toggle("Refine", about, self._want(_REFINE))
-        self.method = ElidedLabel("dim", lines=2)
+        self.refine = Toggle("Refine off", about, self._want(_REFINE))
+        self.method = ElidedLabel("dim", "Method", lines=2)
         about = "Choose registration, warp and modes in the settings of the bench"
-        self.change = Button("Change", about, self._ask("method"))
+        self.change = Button("Change…", about, self._ask("method"))
         self.change.setAccessibleName("Change the method")
-        self.region = ElidedLabel("dim")
+        self.region = ElidedLabel("dim", "Region")
         lines = QGridLayout()
         lines.setSpacing(_GAP_PX)
         for at, control in enumerate(
@@ -78,7 +78,7 @@ class ControlsPanel(Panel):
         about = "Start or stop taking frames (Space)"
         self.start = Button("Start", about, lambda: self.wanted.emit(Commands.set_running, not self._is_running))
         about = "Choose the sensor region and the binning (P)"
-        self.sensor_region = Button("Change", about, self._ask("sensor_region"))
+        self.sensor_region = Button("Change…", about, self._ask("sensor_region"))
         self.sensor_region.setAccessibleName("Change the sensor region")
         self.exposure = NumberField(name="Exposure", unit="ms", decimals=3, tool_tip="Exposure time in force (E)")
         about = "Electron-multiplying gain: more signal above the read noise"
@@ -106,7 +106,7 @@ class ControlsPanel(Panel):
         about = f"{REFERENCE.explanation} (R)"
         self.reference = StepButton(f"4 {REFERENCE.title}", about, lambda: self._ask_average("reference"))
         about = "Find lattice and exposure, take dark and reference, with an explanation of each step (Ctrl+K)"
-        self.calibrate = Button("Calibrate", about, lambda: self._ask_average("calibration"))
+        self.calibrate = Button("Calibrate…", about, lambda: self._ask_average("calibration"))
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -116,10 +116,10 @@ class ControlsPanel(Panel):
                 ("Sample in", "S", self.sample),
                 ("Edit the exposure", "E", self.exposure.edit),
                 ("Edit the current", "C", self.current.edit),
-                ("Choose the sensor region", "P", self.sensor_region),
+                ("Choose the sensor region…", "P", self.sensor_region),
                 ("Refinement", "F", self.refine),
                 None,
-                ("Calibrate step by step", "Ctrl+K", self.calibrate),
+                ("Calibrate step by step…", "Ctrl+K", self.calibrate),
                 ("Find the exposure", "X", self.auto_exposure),
                 ("Take a dark", "D", self.dark),
                 ("Take a reference", "R", self.reference),
@@ -206,7 +206,7 @@ class ControlsPanel(Panel):
 
     def _show_switches(self, status: Status) -> None:
         wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
-        self.refine.setChecked(wanted.get(_REFINE, refine))
+        is_refined = wanted.get(_REFINE, refine)
         mark_wanted(self.refine, is_wanted=_REFINE in wanted)
         # Of a manual light only what a person has said is known.
         lights = ("Light noted off", "Light by hand") if status.bench.has_manual_light else ("Light off", "Light on")
@@ -215,9 +215,10 @@ class ControlsPanel(Panel):
         for shown, names, is_on, colour in (
             (self.light, lights, status.is_light_on, theme.LIT),
             (self.sample, ("Sample out", "Sample in"), status.is_sample_in, theme.ACCENT),
+            (self.refine, ("Refine off", "Refine on"), is_refined, theme.ACCENT),
         ):
             shown.setText(names[is_on])
-            shown.setChecked(is_on and self._has_devices)  # a pressed light has a red edge
+            shown.setChecked(is_on and (self._has_devices or shown is self.refine))  # a pressed light has a red edge
             shown.setIcon(theme.lamp(colour if is_on else theme.LINE))
 
     def show_numbers(self) -> None:
@@ -234,7 +235,7 @@ class ControlsPanel(Panel):
         """Name the method, and warp and modes, also those that are chosen automatically."""
         status, wavefront = self.shown.status, self.shown.wavefront
         if status is None:
-            return ""
+            return "Method"
         parts = [name_of(str(status.bench.registration.method))]
         if wavefront is not None:
             count, coefficients = wavefront.displacement.modes.count, wavefront.coefficients

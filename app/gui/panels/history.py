@@ -121,7 +121,7 @@ class HistoryPanel(Panel):
 
     def _lay_out(self) -> None:
         about = "Set limits of RMS and the pinned coefficient: a crossing is reported, and red here"
-        self.limits = Button("Limits", about, self.form.show)
+        self.limits = Button("Limits…", about, self.form.show)
         self.charts: dict[str, StripChart] = {}
         charts = QWidget()
         self._rows = column(spacing=0, parent=charts)
@@ -137,7 +137,7 @@ class HistoryPanel(Panel):
         return (("Save all series as CSV", self.export_csv),)
 
     def menu_entries(self) -> Mapping[str, Entries]:
-        return {"&View": (("Limits of the history", "", self.form.show),)}
+        return {"&View": (("Limits of the history…", "", self.form.show),)}
 
     def export_csv(self) -> None:
         path = ask_file(self, "Export the history", "history.csv", "Table (*.csv)")

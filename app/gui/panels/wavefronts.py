@@ -69,7 +69,7 @@ class WavefrontPanel(Panel):
         for index, quantity in enumerate(Quantity):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
-        self._summary = ElidedLabel()
+        self._summary = ElidedLabel(lines=2)
         about = "Keep the colour scale (H); a click on the bar types its limit"
         self.fix_scale = checkable(self, "Fix scale", about, self._show_fixed)
         self.menu = DisplayMenu(self)
@@ -100,9 +100,9 @@ class WavefrontPanel(Panel):
                     for index, quantity in enumerate(Quantity)
                 ),
                 ("Fix scale", "H", self.fix_scale),
-                ("Enlarge the selected view", "V", self.enlarge),
+                ("Enlarge the selected view…", "V", self.enlarge),
             ),
-            "&File": (("Export the shown wavefronts", "Ctrl+E", self.export),),
+            "&File": (("Export the shown wavefronts…", "Ctrl+E", self.export),),
         }
 
     def more_entries(self) -> MoreEntries:
@@ -171,12 +171,11 @@ class WavefrontPanel(Panel):
         self.show_numbers()
 
     def show_numbers(self) -> None:
-        badge, reason, _ = self.shown.data_freshness
+        badge = self.shown.data_freshness.badge
         colour_text(self._summary, theme.AMBER if badge else theme.TEXT)
-        parts = [f"{badge}: {reason}"] * bool(badge)
         numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
-            self._summary.setText("".join(parts))
+            self._summary.setText(badge)
             self.grid.set_captions({})
             self.shown.sigma_rad = None
             return
@@ -194,7 +193,7 @@ class WavefrontPanel(Panel):
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
         if numbers.noise_rad is not None:  # it cannot be told from a flat one
             summary = f"mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
-        self._summary.setText("; ".join(filter(None, (*parts, summary, self.menu.options.in_words, reach))))
+        self._summary.setText("; ".join(filter(None, (badge, summary, self.menu.options.in_words, reach))))
         if self._enlarged is not None:
             self._enlarged.refresh()
 
@@ -362,7 +361,7 @@ class DisplayMenu(QMenu):
         super().__init__("&Display", parent)
         self.setToolTipsVisible(True)
         self.options, self.unit = DisplayOptions(), Unit.RAD
-        self.enlarge = self._add("Enlarge the selected view", "Also by a double click")
+        self.enlarge = self._add("Enlarge the selected view…", "Also by a double click")
         self.addSeparator()
         remove = _StayingMenu("Remove", self)
         self.addMenu(remove)
@@ -373,7 +372,7 @@ class DisplayMenu(QMenu):
             action.toggled.connect(lambda _, mode=mode: self.change(removed=self.options.removed ^ {mode}))
             remove.addAction(action)
         self.store = self._add("Subtract the present wavefront", "The mean, if frames are averaged")
-        self.file = self._add("Subtract a wavefront from a file ...", "Results of svwfs with coefficients")
+        self.file = self._add("Subtract a wavefront from a file…", "Results of svwfs with coefficients")
         self.clear_stored = self._add("Subtract nothing", "Show the whole wavefront")
         self.clear_stored.triggered.connect(lambda: self.change(stored=None))
         self.clear_stored.setEnabled(False)

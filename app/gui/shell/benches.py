@@ -158,19 +158,19 @@ class Benches(QObject):
         recent = self.recent.menu(self._window, text, lambda path: self.open(str(path)))
         presets = [(name.replace("_", " "), partial(self.open, name)) for name in PRESETS]
         return (
-            ("Open a bench", "Ctrl+O", self.ask),
+            ("Open a bench…", "Ctrl+O", self.ask),
             ("Open a recent bench", "", recent),
             ("Open a preset", "", listing_menu(self._window, lambda: presets)),
-            ("New bench from my camera", "Ctrl+N", self.make),
-            ("Settings of the bench", "Ctrl+,", self.edit),
-            ("Save the bench", "Ctrl+S", self.save),
+            ("New bench from my camera…", "Ctrl+N", self.make),
+            ("Settings of the bench…", "Ctrl+,", self.edit),
+            ("Save the bench…", "Ctrl+S", self.save),
         )
 
     def _explain(self, fault: _Fault, again: Callable[[], object]) -> None:
         error, path, line, lines = fault
         choices: Choices = (
             ("Try again", "Read the bench again, after you have corrected it", again),
-            ("Open another \N{HORIZONTAL ELLIPSIS}", "Choose another bench file (Ctrl+O)", self.ask),
+            ("Open another…", "Choose another bench file (Ctrl+O)", self.ask),
         )
         if path is not None:
             url = QUrl.fromLocalFile(str(path.absolute()))  # opened in the program that the desktop has for it

@@ -117,7 +117,7 @@ class CalibrationGuide(QDialog):
             box.open()
 
         def done(by: str) -> None:
-            self._messages.inform(f"in force as before {by}; Ctrl+Z returns it")
+            self._messages.inform(f"restored the state before {by}; press Ctrl+Z to return")
 
         self._controller.send(lambda to: to.undoable(), ask)
 

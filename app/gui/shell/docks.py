@@ -27,6 +27,7 @@ from app.gui.widgets.timers import timer
 _OPTIONS = QMainWindow.DockOption
 _MARGIN_PX = 8  # between the contents of a panel and its edge
 _AROUND_PX, _CONTROLS_PX = 70, 300  # height of all else than the maps, without the width of their scale; width
+_UPPER = 0.57  # most of the height for camera and controls
 _LOW_PX = 600  # on lower screens the camera is one of the tabs
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
@@ -88,7 +89,7 @@ class Dock(QDockWidget):
     def _entries(self) -> MoreEntries:
         return (
             *self.panel.more_entries(),
-            ("Save the numbers as CSV", lambda: save_numbers(self.panel, self.panel.table())),
+            ("Save the numbers as CSV…", lambda: save_numbers(self.panel, self.panel.table())),
             ("Copy the picture", partial(copy_picture, self.panel)),
             ("Float as a window, or dock again", lambda: self.setFloating(not self.isFloating())),
             ("Close (View > Panels opens it)", self.close),
@@ -165,10 +166,10 @@ class PanelDocks:
         left = max(window.width() - window.height() + _AROUND_PX, window.width() // 2)  # the wavefronts are a square
         window.resizeDocks([first, wavefronts], [left, window.width() - left], Qt.Orientation.Horizontal)
         window.resizeDocks([camera, controls], [max(left - _CONTROLS_PX, 1), _CONTROLS_PX], Qt.Orientation.Horizontal)
-        upper = controls.sizeHint().height() + 2 * window.fontMetrics().height()
-        window.resizeDocks(
-            [camera, first], [upper, max(window.height() - _AROUND_PX - upper, 1)], Qt.Orientation.Vertical
-        )
+        # With large texts the controls scroll, so that the tabs keep room for their plots.
+        room = window.height() - _AROUND_PX
+        upper = min(controls.sizeHint().height() + 2 * window.fontMetrics().height(), round(_UPPER * room))
+        window.resizeDocks([camera, first], [upper, room - upper], Qt.Orientation.Vertical)
         self._arrange()
 
     def float_panels(self, *panels: QWidget) -> None:

@@ -23,7 +23,7 @@ _FIRST_PAGE = "window.md"
 def _key_table(title: str, entries: Entries) -> str:
     rows = "".join(
         f"<tr><td style='padding-right: 10px'><b>{key}</b></td>"
-        f"<td style='padding-right: 24px'>{name.replace(' ', '&nbsp;')}</td></tr>"
+        f"<td style='padding-right: 24px'>{name.rstrip('…').replace(' ', '&nbsp;')}</td></tr>"
         for name, key, _ in filter(None, entries)
         if key
     )
@@ -130,9 +130,9 @@ def help_entries(
         TextDialog("about", "About svwfs", window, text).show()
 
     return (
-        ("Shortcuts and conventions", "F1", show_keys),
-        ("Message log", "Ctrl+L", messages.show_log),
-        ("Documentation", "Shift+F1", show_documentation),
-        ("How to cite", "", show_citation),
-        ("About svwfs", "", show_about),
+        ("Shortcuts and conventions…", "F1", show_keys),
+        ("Message log…", "Ctrl+L", messages.show_log),
+        ("Documentation…", "Shift+F1", show_documentation),
+        ("How to cite…", "", show_citation),
+        ("About svwfs…", "", show_about),
     )

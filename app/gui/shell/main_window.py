@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QDropEvent, QRegion, QResizeEvent
-from PyQt6.QtWidgets import QApplication, QFrame, QMainWindow, QWidget
+from PyQt6.QtWidgets import QApplication, QFrame, QMainWindow, QMenuBar, QWidget
 
 from app.acquisition.address import CLOSING_S, NAME, NameTaken, NotRunning
 from app.acquisition.instrument import Activity, Status
@@ -118,7 +118,7 @@ class MainWindow(QMainWindow):
             saved,
         )
         self._connect()
-        fill_menus(self, self._menus(), self._ask_while_recording)
+        fill_menus(self.menu_bar, self._menus(), self._ask_while_recording)
         is_restored = saved is not None and restore_state(saved, self)
         fit_to_screen(self)
         if not is_restored:
@@ -142,10 +142,11 @@ class MainWindow(QMainWindow):
         self._frame.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self._frame.hide()
         self.docks = PanelDocks(self, self.panels, self.recording_bar)
-        if (bar := self.menuBar()) is not None:
-            bar.setNativeMenuBar(False)  # a native one has no corner
-            bar.setCornerWidget(self.recording_panel)
-            bar.setCornerWidget(self.verdict, Qt.Corner.TopLeftCorner)
+        self.menu_bar, top = QMenuBar(), QWidget()  # a corner of a menu bar would never change its width
+        self.menu_bar.setNativeMenuBar(False)
+        top.setProperty("role", "strip")
+        row(self.menu_bar, (self.verdict, 1), self.recording_panel, parent=top)
+        self.setMenuWidget(top)
 
     def _connect(self) -> None:
         acts: dict[str, Callable[[Any], object]] = {
@@ -178,7 +179,7 @@ class MainWindow(QMainWindow):
         full = Qt.WindowState.WindowFullScreen
         preferences: Entries = ()
         if self._saved is not None:  # else the window remembers nothing
-            preferences = (("Preferences", "", PreferencesDialog(self._saved, self).show),)
+            preferences = (("Preferences…", "", PreferencesDialog(self._saved, self).show),)
         menus: dict[str, Entries] = {
             "&File": (
                 *self.recording_bar.menu_entries(),
@@ -195,7 +196,7 @@ class MainWindow(QMainWindow):
                 ("Check the background", "B", self.guide.check_background),
                 ("Light off, from anywhere (also Pause)", "F12", self.light.switch_off),
                 None,
-                ("Undo the last dark, reference or change", "Ctrl+Z", self.guide.ask_undo),
+                ("Undo the last dark, reference or change…", "Ctrl+Z", self.guide.ask_undo),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
                 None,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QSettings, Qt
 from PyQt6.QtGui import QAction, QKeySequence
-from PyQt6.QtWidgets import QAbstractButton, QMainWindow, QMenu, QWidget
+from PyQt6.QtWidgets import QAbstractButton, QMenu, QMenuBar, QWidget
 
 from app.gui.panels.panel import Entries
 from app.gui.widgets.file_work import answer
@@ -18,12 +18,10 @@ _PLAIN = {*string.ascii_uppercase, "Space"} - _EVERYWHERE  # keys that may be ty
 _COMMANDS = {"&File", "&Bench"}  # menus that change the instrument, not only the display
 
 
-def fill_menus(
-    window: QMainWindow, menus: Mapping[str, Entries], ask: Callable[[str, Callable[[], object]], object]
-) -> None:
+def fill_menus(bar: QMenuBar, menus: Mapping[str, Entries], ask: Callable[[str, Callable[[], object]], object]) -> None:
     """Fill the menu bar; `ask` gets text and action of what a plain key would do with the instrument."""
     for title, entries in menus.items():
-        if (bar := window.menuBar()) is not None and (menu := bar.addMenu(title)) is not None:
+        if (menu := bar.addMenu(title)) is not None:
             _fill(menu, entries, ask if title in _COMMANDS else lambda _, act: act())
 
 
@@ -50,7 +48,7 @@ def _fill(menu: QMenu, entries: Entries, ask: Callable[[str, Callable[[], object
             if key in _EVERYWHERE:
                 action.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)
             if key in _PLAIN:
-                act = partial(ask, text, act)
+                act = partial(ask, text.rstrip("…"), act)
             action.triggered.connect(lambda _=False, act=act: act())
     menu.aboutToShow.connect(lambda: _follow(buttons, is_open=True))
     menu.aboutToHide.connect(lambda: _follow(buttons, is_open=False))

@@ -41,7 +41,7 @@ class MessageStrip(QFrame):
         self._lines: deque[tuple[str, str]] = deque(maxlen=1000)  # time and message
         self._standing: dict[str, str] = {}  # last failure and warning
         self._shown = ("", theme.DIM)
-        self.text = ElidedLabel()
+        self.text = ElidedLabel(lines=2)
         again = "Open the devices again, take dark and reference, and start measuring (Ctrl+R)"
         self.reconnect = Button("Reconnect", again, self.reconnect_requested)
         self.control = Button("Take control", "Command the instrument in place of others", self.control_requested)
@@ -49,15 +49,16 @@ class MessageStrip(QFrame):
         self.discard = Button("Discard", "Change nothing (Esc)", lambda: self._answer(is_accepted=False))
         self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
         self.cancel = Button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
-        self.show_log = Button("Log", "All messages with their times (Ctrl+L)")
+        self.show_log = Button("Log…", "All messages with their times (Ctrl+L)")
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
-        self.progress.setFormat("%p %")
+        self.progress.setTextVisible(False)
         hidden = (self.reconnect, self.control, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
         for widget in hidden:
             widget.hide()
         fill_strip(self, (self.text, 1), *hidden, self.show_log)
-        self.setFixedHeight(self.cancel.sizeHint().height() + 8)  # the same with and without a button
+        height = max(self.cancel.sizeHint().height(), 2 * self.fontMetrics().height())
+        self.setFixedHeight(height + 8)  # the same with and without a button or a second line
 
     @property
     def log(self) -> str:

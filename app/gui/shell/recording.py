@@ -53,7 +53,6 @@ class RecordingPanel(QWidget):
         self.keep = Button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
         self.text = ElidedLabel("dim")
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-        # A menu bar never updates the width of its corner; with a fixed height, too, a new text is not laid out.
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         fill_strip(self, self.text, self.keep, self.record)
@@ -254,10 +253,10 @@ class RecordingBar(QFrame):
             ("Start or stop recording", "W", self._panel.record),
             ("Name, note and end of the recording", "Shift+W", self.prepare),
             ("Save the last seconds", "K", self._panel.keep),
-            ("Replay a recording", "Ctrl+Shift+O", self._choose_recording),
+            ("Replay a recording…", "Ctrl+Shift+O", self._choose_recording),
             ("Replay a recent recording", "", self.recent.menu(self, lambda folder: folder.name, self.play)),
-            ("Recover a recording", "", self._choose_to_recover),
-            ("Choose the recordings folder", "", self.choose_recordings_folder),
+            ("Recover a recording…", "", self._choose_to_recover),
+            ("Choose the recordings folder…", "", self.choose_recordings_folder),
         )
 
     def _choose_recording(self) -> None:

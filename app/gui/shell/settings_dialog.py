@@ -44,7 +44,6 @@ class SettingsDialog(QDialog):
         self._search: Future[tuple[list[DiscoveredDevice], list[str]]] | None = None
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
-        self.sections.setFixedWidth(170)
         self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
         self.camera, self.light = Choice("Connected camera"), Choice("Connected light")
         self._choices = {"camera": self.camera, "light": self.light}
@@ -59,7 +58,7 @@ class SettingsDialog(QDialog):
         self.problem = ElidedLabel(lines=2)
         self.apply = Button("Open", "", self._apply)
         about = "Save these settings as a bench file, and open it"
-        self.save = Button("Save \N{HORIZONTAL ELLIPSIS}", about, self._save)
+        self.save = Button("Save…", about, self._save)
         ends = row((self.problem, 1), self.apply, self.save, close_button(self, "Change nothing (Esc)"))
         parts = self.devices, (row(self.sections, (self.pages, 1)), 1), ends
         fill_dialog(self, *parts)
@@ -138,6 +137,7 @@ class SettingsDialog(QDialog):
             self.sections.addItem(" \N{RIGHTWARDS ARROW} ".join(part.capitalize() for part in section.path.split(".")))
             if section.path == shown:
                 self.sections.setCurrentRow(self.sections.count() - 1)
+        self.sections.setFixedWidth(self.sections.sizeHintForColumn(0) + self.fontMetrics().height())
         self._check()
 
     def _editor(self, field: FormField) -> QWidget:

@@ -32,10 +32,10 @@ class StatusLine(QWidget):
         self.rate, self.delay, self.lost = _Value(_RATE, "00.0"), _Value(_DELAY, "000.0 ms"), _Value(_LOST, "00")
         self.devices = _Value("", "stopped")
         values = {"frames/s": self.rate, "delay": self.delay, "lost": self.lost}
-        named = [row_of(label(name, "dim"), value) for name, value in values.items()]
-        for of_value, value in zip(named, values.values(), strict=True):
+        self._named = [row_of(label(name, "dim"), value) for name, value in values.items()]
+        for of_value, value in zip(self._named, values.values(), strict=True):
             of_value.setToolTip(value.about)
-        row(*named, self.devices, spacing=_GAP_PX, parent=self).setContentsMargins(0, 0, 10, 0)
+        row(*self._named, self.devices, spacing=_GAP_PX, parent=self).setContentsMargins(0, 0, 10, 0)
         self.restart()
 
     def count(self, measurement: Measurement) -> None:
@@ -60,6 +60,8 @@ class StatusLine(QWidget):
             names = () if status is None else (status.camera_name, status.light_name)
             about = "\n".join(filter(None, [*names, processes]))
             self.devices.show_text(state, about, theme.RED if trouble else theme.DIM)
+            for value in self._named:
+                value.setVisible(not trouble)  # the message needs the room
         last = self._newest
         if last is None:
             return

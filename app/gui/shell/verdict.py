@@ -1,7 +1,7 @@
 """The verdict on the newest frame: good, or why not, with what is assumed of the sample in its tool tip."""
 
 import numpy as np
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QSizePolicy
 
@@ -14,7 +14,6 @@ from app.measurement.measurement import Measurement, RefinementState, sample_sen
 from reconstruction.layers.layered_wavefront import FREE
 
 _OLD_S = 30.0  # age of a correction; the next one takes some seconds at most
-_WIDEST = "GOOD 100 %, 000 of 000, \N{PLUS-MINUS SIGN} 0.000 rad"
 _AROUND_PX = 34  # lamp and margins
 
 
@@ -28,11 +27,7 @@ class VerdictButton(Button):
         self._shown, self.valid, self.cause = shown, NOTHING, ""
         self.clicked.connect(lambda: self.cause_requested.emit(self.cause))
         self.setProperty("role", "verdict")
-        self.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
-
-    def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return a constant size: a menu bar never updates the width of its corner."""
-        return QSize(self.fontMetrics().horizontalAdvance(_WIDEST) + _AROUND_PX, super().sizeHint().height())
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
 
     def show_verdict(self, problem: str, *, is_failed: bool, is_busy: bool, mask_note: str) -> None:
         """Show a `problem`, that may be a failure or an activity, or else what is known of the newest frame."""
@@ -71,7 +66,7 @@ class VerdictButton(Button):
 
     def _show(self, word: str, numbers: str, lamp: str, colour: QColor) -> None:
         text = self.fontMetrics().elidedText(
-            f"{word} {numbers}", Qt.TextElideMode.ElideRight, self.sizeHint().width() - _AROUND_PX
+            f"{word} {numbers}", Qt.TextElideMode.ElideRight, self.width() - _AROUND_PX
         )
         if text != self.text() or self.accessibleName() != f"{word} {numbers}":
             self.setText(text)

@@ -33,7 +33,7 @@ def add_copy_menu(
         menu.addAction("Copy picture", partial(copy_picture, widget))
         if text := numbers(at):
             menu.addAction("Copy numbers", partial(copy_text, text))
-            menu.addAction("Save numbers as CSV", partial(save_numbers, widget, text if table is None else table()))
+            menu.addAction("Save numbers as CSV…", partial(save_numbers, widget, text if table is None else table()))
         menu.popup(widget.mapToGlobal(at))
 
     widget.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
@@ -79,7 +79,7 @@ def ask_file(parent: QWidget, title: str, proposed: str, kinds: str, *also: str)
     path, suffix = Path(name), Path(proposed).suffix
     if f"*{path.suffix.lower()}" not in re.split(r"[ ()]", kinds):
         if path.suffix.strip(".0123456789"):  # of another kind; ".5" ends a number
-            why = f"{path.name} would not be what its name says. End the name with {suffix}."
+            why = f"{path.name}: {path.suffix} does not fit the format. End the name with {suffix}."
             QMessageBox.warning(parent, "svwfs", why)
             return None
         path = path.with_name(f"{path.name}{suffix}")

@@ -15,7 +15,7 @@ from app.gui.widgets.view_grid import Maps, ViewGrid
 from app.results.pictures import contour_step, contours
 from reconstruction.arrays import Floats
 
-_CONTOUR, _CURSOR = QColor(0, 0, 0, 150), QColor(0, 0, 0)  # on the map, in every theme
+CONTOUR = _CURSOR = QColor(0, 0, 0)  # on the map, in every theme
 
 
 class EnlargedMap(ViewGrid):
@@ -51,7 +51,7 @@ class EnlargedMap(ViewGrid):
         step_x, step_y = tile.width() / columns, tile.height() / rows
         if self.has_contours:
             painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-            painter.setPen(QPen(_CONTOUR, 1))
+            painter.setPen(QPen(CONTOUR, 1))
             for line in contours(self.values, self.maps.scale.high):
                 painter.drawPolyline(QPolygonF([QPointF((x + 0.5) * step_x, (y + 0.5) * step_y) for x, y in line]))
             painter.setRenderHint(QPainter.RenderHint.Antialiasing, on=False)

@@ -83,7 +83,7 @@ class Plot(QWidget):
             axes["bottom"].setLabel(bottom)
         theme.follow(self, self._colour_axes)
         grid = pg.GraphicsLayout()
-        grid.setContentsMargins(0, 5, 12, 4)  # pyqtgraph draws the label a little below its axis
+        grid.setContentsMargins(0, font.height() // 2, 12, 4)  # pyqtgraph draws the label a little below its axis
         grid.setSpacing(0)
         grid.addItem(axes["left"], 0, 0)
         grid.addItem(self.view, 0, 1)

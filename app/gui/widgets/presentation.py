@@ -9,7 +9,6 @@ import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
 
-from app.gui.widgets import theme
 from app.results.pictures import Pixels, step_above
 from app.results.view_maps import Quantity
 from reconstruction.arrays import Floats
@@ -56,9 +55,8 @@ class ColourScale:
 
 
 def diverging(limit: float, unit: str) -> ColourScale:
-    """Return the scale of phases from -limit to +limit: blue, white, red; black in the middle on a light background."""
-    colours = "CET-D4" if theme.is_light() else "CET-D1"
-    return ColourScale(colours, -limit, limit, unit, _HALVES, is_signed=True)
+    """Return the scale of phases from -limit to +limit: blue, white, red."""
+    return ColourScale("CET-D1", -limit, limit, unit, _HALVES, is_signed=True)
 
 
 def of_counts(limit: float) -> ColourScale:

@@ -20,7 +20,7 @@ def _pair(dark: str, light: str) -> QColor:
 BACKGROUND = _pair("#0b0d10", "#eef0f3")
 SURFACE = _pair("#1c2026", "#fafbfc")
 RAISED = _pair("#2a3038", "#dfe4ea")
-LINE = _pair("#6d7682", "#7f8893")
+LINE = _pair("#6d7682", "#76808b")
 TEXT = _pair("#dde2e8", "#1b2026")
 DIM = _pair("#98a2ae", "#525d69")
 ACCENT = _pair("#4fa3e3", "#1668a8")
@@ -51,7 +51,8 @@ QCheckBox::indicator {{ width: 14px; height: 14px; border: 1px solid {DIM.name()
 QCheckBox::indicator:checked {{ background: {ACCENT.name()}; border-color: {ACCENT.name()}; }}
 QCheckBox::indicator:focus {{ border-color: {ACCENT.name()}; }}
 QPushButton {{ padding: 3px 8px; }}
-QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid #2f6f9f; border-radius: 3px; }}
+QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 3px; }}
+QPushButton:checked:disabled {{ background: {RAISED.name()}; border-color: {LINE.name()}; }}
 QPushButton[role="step"] {{ padding: 3px 4px; }}
 QPushButton[role="light"] {{ font-weight: 600; padding: 6px; }}
 QPushButton[role="verdict"] {{ font-weight: 600; padding: 3px 6px; border: none; text-align: left; }}
@@ -70,9 +71,8 @@ QTabBar::tab {{ color: {DIM.name()}; padding: 4px 4px; margin-right: 1px; border
 QTabBar::tab:hover {{ color: {TEXT.name()}; }}
 QTabBar::tab:selected {{ color: {TEXT.name()}; border-bottom-color: {ACCENT.name()}; }}
 QStatusBar::item {{ border: none; }}
-QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; text-align: center; color: {TEXT.name()};
-               background: {BACKGROUND.name()}; }}
-QProgressBar::chunk {{ background: #2f6f9f; }}
+QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; background: {BACKGROUND.name()}; }}
+QProgressBar::chunk {{ background: {ACCENT.name()}; }}
 """
 
 
@@ -102,11 +102,6 @@ def use_theme(application: QApplication, name: str) -> None:
     """Use the "light" or "dark" colours from now on, or those of the desktop ("system")."""
     application.setProperty("theme", name)
     _colour(application)
-
-
-def is_light() -> bool:
-    """Return whether the background is light."""
-    return BACKGROUND.lightnessF() > 0.5
 
 
 def restyle(widget: QWidget, name: str, value: object) -> None:

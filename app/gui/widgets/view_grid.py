@@ -188,13 +188,18 @@ class ViewGrid(QWidget):
             return
         places, painted = self.places, QRegion(self.rect()) if event is None else event.region()
         self._painted = places
+        is_only_maps = painted.subtracted(places.tiles).isEmpty()
+        if not is_only_maps:
+            painter.setPen(theme.LINE)  # around the maps: white and black may be the background
+            for view in np.ndindex(maps.values.shape[:2]):
+                painter.drawRect(places.tile(*view).adjusted(-1, -1, 0, 0))
         if painted.intersects(places.tiles):
             self._paint_maps(painter, maps)
         if self.selection is not None:
             painter.setPen(QPen(theme.ACCENT, 2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawRect(places.tile(*self.selection).adjusted(-1, -1, 1, 1))
-        if painted.subtracted(places.tiles).isEmpty():
+        if is_only_maps:
             return
         if places.has_captions:
             self._paint_captions(painter)

@@ -64,7 +64,7 @@ def test_a_place_belongs_to_one_instrument() -> None:
     with taken_address() as address:
         address.announce()
         assert Address.of() == address
-        with pytest.raises(RunError, match="runs as instrument already"), taken_address():
+        with pytest.raises(RunError, match="named instrument is running already"), taken_address():
             pass
         with taken_address("second") as second:
             assert second.endpoint != address.endpoint or second.endpoint.endswith(":*")  # any port, on Windows

@@ -198,7 +198,7 @@ def save_csv(widget: QWidget, path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
     widget.customContextMenuRequested.emit(QPoint(5, 5))
     menu = next(each for each in widget.findChildren(QMenu) if each.isVisible())
-    next(action for action in menu.actions() if action.text() == "Save numbers as CSV").trigger()
+    next(action for action in menu.actions() if action.text() == "Save numbers as CSV…").trigger()
     menu.close()
 
 

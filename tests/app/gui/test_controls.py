@@ -171,7 +171,7 @@ def test_steps_show_time_and_brightness_in_the_order_of_work(live: tuple[MainWin
     window, camera = live
     controls = window.controls
     steps = (controls.lattice, controls.auto_exposure, controls.dark, controls.reference, controls.calibrate)
-    assert [one.text().split()[0] for one in steps] == ["1", "2", "3", "4", "Calibrate"]
+    assert [one.text().split()[0] for one in steps] == ["1", "2", "3", "4", "Calibrate…"]
     places = [one.mapTo(window, one.rect().topLeft()) for one in steps]
     assert places == sorted(places, key=lambda place: (place.y(), place.x()))  # as one reads
     taken = window.controls.dark.toolTip().partition("6 frames at ")[2][:5]

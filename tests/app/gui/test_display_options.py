@@ -136,7 +136,7 @@ def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, 
 
 def subtract(path: Path, window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(path), ""))
-    choose(qtbot, window.panels.wavefronts.menu, "Subtract a wavefront from a file ...")
+    choose(qtbot, window.panels.wavefronts.menu, "Subtract a wavefront from a file…")
 
 
 def test_wavefront_of_a_file_is_read_beside_the_window_and_subtracted(

@@ -19,7 +19,7 @@ from app.gui.shell.main_window import MainWindow
 
 def export(window: MainWindow, monkeypatch: pytest.MonkeyPatch, path: Path) -> None:
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
-    next(each for each in window.findChildren(QAction) if each.text() == "Export the shown wavefronts").trigger()
+    next(each for each in window.findChildren(QAction) if each.text() == "Export the shown wavefronts…").trigger()
 
 
 @pytest.mark.slow
@@ -84,7 +84,7 @@ def test_names_with_numbers_stay_apart_and_other_suffixes_are_refused(
     refused = list[str]()
     monkeypatch.setattr(QMessageBox, "warning", lambda _parent, _title, why: refused.append(why))
     export(window, monkeypatch, tmp_path / "shown.csv")
-    assert refused == ["shown.csv would not be what its name says. End the name with .png."]
+    assert refused == ["shown.csv: .csv does not fit the format. End the name with .png."]
     files = {f"tilt_0.{tenths}.{kind}" for tenths in (5, 7) for kind in ("png", "nc")}
     assert {path.name for path in tmp_path.iterdir()} == files
 

@@ -37,7 +37,7 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
     window.recording_bar.use_recordings_folder(tmp_path)
     window.messages.warn("it is Monday")
     window.messages.warn("it is Monday")
-    choose(window, "Message log")
+    choose(window, "Message log…")
     dialog = opened(window, "log")
     first, second = dialog.view.toPlainText().splitlines()
     assert re.fullmatch(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d  Recordings are saved in .*", first)
@@ -58,7 +58,7 @@ def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: P
 
 def test_empty_log_repeats_the_sentence_of_the_strip(make_window: MakeWindow) -> None:
     window = make_window()
-    choose(window, "Message log")
+    choose(window, "Message log…")
     sentence = window.messages.text.text()
     assert "Ctrl+O" in sentence
     assert opened(window, "log").view.toPlainText() == f"No message so far. Shown now: {sentence}"
@@ -75,7 +75,7 @@ def test_log_tells_what_failed(make_window: MakeWindow, qtbot: QtBot) -> None:
 
 def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> None:
     window = make_window()
-    choose(window, "Documentation")
+    choose(window, "Documentation…")
     dialog = opened(window, "documentation")
     assert dialog.view.toPlainText().startswith("The window")
     assert not dialog.back.isEnabled()
@@ -94,13 +94,13 @@ def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch:
     monkeypatch.setattr("app.__file__", "/nowhere/app/__init__.py")
     assert documentation() is None
     window = make_window()
-    choose(window, "Documentation")
+    choose(window, "Documentation…")
     assert "documentation is not installed" in window.messages.log
 
 
 def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None:
     window = make_window()
-    choose(window, "How to cite")
+    choose(window, "How to cite…")
     text = opened(window, "citation").view.toPlainText()
     file = (ROOT / "CITATION.cff").read_text("utf-8")
     for key in ("title: Space-variant", "doi: ", "journal: "):
@@ -113,7 +113,7 @@ def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None
 
 def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
     window = make_window()
-    choose(window, "About svwfs")
+    choose(window, "About svwfs…")
     text = opened(window, "about").view.toPlainText()
     assert f"Version: {version('svwfs')}" in text
     assert f"numpy: {version('numpy')}" in text
@@ -121,7 +121,7 @@ def test_about_names_version_and_libraries(make_window: MakeWindow) -> None:
 
 def test_escape_closes_only_the_list_of_keys(make_window: MakeWindow, qtbot: QtBot) -> None:
     window = make_window()
-    choose(window, "Shortcuts and conventions")
+    choose(window, "Shortcuts and conventions…")
     dialog = opened(window, "help")
     for words in ("Take a dark", "Edit the exposure", "Uncertainty over the field"):
         assert words in dialog.view.toPlainText().replace("\N{NO-BREAK SPACE}", " ")

@@ -138,7 +138,7 @@ def test_former_limits_hold_while_texts_are_refused(window: MainWindow, lowest: 
 def test_limits_are_kept_between_two_starts(make_window: MakeWindow, tmp_path: Path) -> None:
     settings = QSettings(str(tmp_path / "settings.ini"), QSettings.Format.IniFormat)
     first = make_window(saved=settings)
-    next(one for one in first.findChildren(QAction) if one.text() == "Limits of the history").trigger()
+    next(one for one in first.findChildren(QAction) if one.text() == "Limits of the history…").trigger()
     assert first.panels.history.form.isVisible()
     first.shown.unit, first.shown.wavelength_m = Unit.NM, 462e-9
     set_limits(first.panels.history, RMS, "5", "50")

@@ -257,9 +257,9 @@ def test_nothing_is_opened_beside_a_device_that_hangs(
 
 def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     window = make_window()
-    bar = window.menuBar()
-    assert bar is not None
-    entries = [action for menu in bar.actions() if (inner := menu.menu()) is not None for action in inner.actions()]
+    entries = [
+        action for menu in window.menu_bar.actions() if (inner := menu.menu()) is not None for action in inner.actions()
+    ]
     keys = [key for entry in entries if (key := entry.shortcut().toString())]
     assert len(set(keys)) == len(keys)
     assert {"Space", "L", "S", "D", "R", "Esc", "Ctrl+P"} <= set(keys)

@@ -180,7 +180,7 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
     assert goes_on in capsys.readouterr().out
 
     def attach(window: MainWindow) -> None:
-        qtbot.waitUntil(lambda: "an instrument runs as instrument already" in said_in(window))
+        qtbot.waitUntil(lambda: "an instrument named instrument is running already" in said_in(window))
         window.messages.accept.click()
         qtbot.waitUntil(lambda: is_measured(window))
         assert "attached" in window.windowTitle()

@@ -212,4 +212,4 @@ def test_entries_show_the_state_of_their_buttons(window: MainWindow, live: tuple
     assert bench["Light on"] == (True, True)
     assert bench["Reconnect after a failure"] == (False, False)
     menu(connected, "&Bench").aboutToHide.emit()
-    assert all(one.isEnabled() for one in menu(window, "&File").actions() if one.text() == "Save the bench")
+    assert all(one.isEnabled() for one in menu(window, "&File").actions() if one.text() == "Save the bench…")

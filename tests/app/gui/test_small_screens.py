@@ -24,8 +24,9 @@ from PyQt6.QtWidgets import (
 )
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
-from support.window_tools import MakeWindow, dim_frame, views, wait_for_wavefront
+from support.window_tools import MakeWindow, dim_frame, tabs, views, wait_for_wavefront
 
+from app.gui.shell.controller import Controller
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.recording import RecordingPanel
 from app.gui.widgets.texts import ElidedLabel
@@ -35,15 +36,20 @@ from app.recording.recorder import RecordingState
 
 SCREEN = QRect(0, 0, 960, 540)  # 1920 x 1080 pixels at scale 2
 DIALOGS = {
-    "Shortcuts and conventions",
-    "Message log",
-    "Documentation",
-    "About svwfs",
-    "Preferences",
-    "Settings of the bench",
-    "Enlarge the selected view",
-    "Calibrate step by step",
+    "Shortcuts and conventions…",
+    "Message log…",
+    "Documentation…",
+    "About svwfs…",
+    "Preferences…",
+    "Settings of the bench…",
+    "Enlarge the selected view…",
+    "Calibrate step by step…",
 }
+ELLIPSIS = "\N{HORIZONTAL ELLIPSIS}"
+DEATH = (
+    "the instrument's process 123456 was ended by SIGKILL: its light should be off; if it shines, switch it off by hand"
+    " or with svwfs light-off"
+)
 LONG = "the recording ended early, 1203 frames are saved: the disk is full, free some space and start another recording"
 
 
@@ -52,7 +58,7 @@ def small_screen(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(QScreen, "availableGeometry", lambda _: SCREEN)
 
 
-@pytest.fixture(params=[1.0, 1.25])
+@pytest.fixture(params=[1.0, 1.25, 1.5])
 def font_size(qapp: QApplication, request: pytest.FixtureRequest) -> Iterator[float]:
     usual = QFont(qapp.font())
     font = QFont(usual)
@@ -170,6 +176,21 @@ def text_of(control: QWidget) -> str:
     return control.text() if isinstance(control, QLabel | QPushButton | QLineEdit) else ""
 
 
+def cut_texts(widget: QWidget) -> list[str]:
+    """Texts of the visible labels, buttons and choices in a widget that have no room for them."""
+
+    def is_cut(text: str, shown: QWidget) -> bool:
+        if isinstance(shown, ElidedLabel):  # it may take more lines
+            return shown.shown.endswith(ELLIPSIS) and not text.endswith(ELLIPSIS)
+        if isinstance(shown, QLabel) and shown.wordWrap():
+            return shown.height() < shown.heightForWidth(shown.width())
+        return room(shown) < shown.fontMetrics().horizontalAdvance(text)
+
+    texts = [(text_of(one), one) for one in widget.findChildren(QWidget) if text_of(one) and one.isVisible()]
+    assert texts
+    return [text for text, one in texts if is_cut(text, one)]
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("restored_theme", "font_size")
 def test_no_text_in_the_controls_is_cut(make_window: MakeWindow, qtbot: QtBot) -> None:
@@ -179,15 +200,63 @@ def test_no_text_in_the_controls_is_cut(make_window: MakeWindow, qtbot: QtBot) -
     wait_for_wavefront(qtbot, window)
     window.resize(1, 1)
     settle()
-    texts = [(text_of(one), one) for one in window.controls.findChildren(QWidget) if text_of(one)]
-    assert len(texts) > 20
+    assert not cut_texts(window.controls)
 
-    def is_cut(text: str, shown: QWidget) -> bool:
-        if isinstance(shown, ElidedLabel):  # it may take more lines
-            return shown.shown.endswith("\N{HORIZONTAL ELLIPSIS}")
-        return room(shown) < shown.fontMetrics().horizontalAdvance(text)
 
-    assert not [text for text, one in texts if is_cut(text, one)]
+@pytest.mark.slow
+@pytest.mark.usefixtures("restored_theme", "font_size")
+def test_no_text_in_any_panel_is_cut(make_window: MakeWindow, qtbot: QtBot) -> None:
+    styled_application()
+    window = make_window(FakeCamera())
+    window.connect_devices()
+    wait_for_wavefront(qtbot, window)
+    window.resize(1280, 720)
+    window.docks.restore_default()
+    window.panels.wavefronts.menu.change(removed=frozenset({2, 3}))  # tilt
+    window.panels.lenslet.inspect(3, 4)
+    for name, panel in tabs(window).items():
+        panel.front_requested.emit()
+        analysis = window.analyses.of[panel]
+        qtbot.waitUntil(lambda analysis=analysis: analysis.request is None or not analysis.is_busy)  # type: ignore[misc] # mypy and defaults
+        settle()
+        assert not cut_texts(window), name
+    assert (window.width(), window.height()) == (1280, 720)
+
+
+@pytest.mark.usefixtures("restored_theme", "font_size")
+def test_death_of_the_instrument_is_told_in_full(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:
+    styled_application()
+    window = make_window()
+    window.resize(1280, 720)
+    window.docks.restore_default()
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    monkeypatch.setattr(Controller, "trouble", "instrument gone")
+    monkeypatch.setattr(Controller, "is_lost", True)
+    window._failure = DEATH
+    window.update_text()
+    settle()
+    assert (
+        window.messages.text.shown.replace("\n", "")
+        == f"{DEATH[0].upper()}{DEATH[1:]}  \N{EM DASH}  reconnect (Ctrl+R)"
+    )
+
+
+@pytest.mark.usefixtures("restored_theme", "font_size")
+def test_verdict_has_room_for_its_reason_and_the_menus_stay(make_window: MakeWindow) -> None:
+    styled_application()
+    window = make_window()
+    window.resize(1280, 720)
+    measurement = make_measurement(dim_frame(), views())
+    places = []
+    for problem in ("", "the reference is missing: take one (R)", "the light is off"):
+        window.show_measurement(replace(measurement, problem=problem))
+        window.verdict.show_verdict(problem, is_failed=False, is_busy=False, mask_note="")
+        settle()
+        places.append(window.menu_bar.geometry())
+        assert problem in window.verdict.text()
+        assert not window.verdict.text().endswith(ELLIPSIS)
+        assert not cut_texts(window.menu_bar.parentWidget() or window)
+    assert len(set(map(str, places))) == 1
 
 
 def test_text_takes_a_second_line_and_then_an_ellipsis(qtbot: QtBot) -> None:

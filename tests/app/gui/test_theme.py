@@ -13,6 +13,7 @@ from support.window_tools import picture, tabs
 
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
+from app.gui.widgets.enlarged_view import CONTOUR
 from app.gui.widgets.presentation import colour_table, diverging
 
 
@@ -81,8 +82,12 @@ def test_lines_maps_and_arrows_have_contrast(qapp: QApplication, name: str) -> N
     lines = theme.LINE, theme.ACCENT, theme.GREEN, theme.AMBER, theme.RED
     assert min(contrast(line, ground) for line in lines for ground in grounds) >= 3
     assert contrast(theme.LIT, theme.CHECKED) >= 3  # the lamp on its button
-    table = colour_table(diverging(1.0, "rad").colours)
-    assert min(contrast(QColor.fromRgb(int(colour)), theme.BACKGROUND) for colour in table) >= 3
+    colours = [QColor.fromRgb(int(colour)) for colour in colour_table(diverging(1.0, "rad").colours)]
+    zero = colours[len(colours) // 2]
+    assert luminance(zero) > 0.7
+    assert min(contrast(end, zero) for end in (colours[0], colours[-1])) >= 4.5
+    assert max(contrast(zero, ground) for ground in (theme.BACKGROUND, theme.LINE)) >= 3  # LINE is around each map
+    assert min(contrast(colour, CONTOUR) for colour in colours) >= 3
     black, white = QColor("black"), QColor("white")
     for drawn in (theme.ACCENT_ON_IMAGE, theme.GREEN_ON_IMAGE, theme.AMBER_ON_IMAGE, theme.RED_ON_IMAGE):
         assert contrast(drawn, black) >= 3

@@ -217,7 +217,7 @@ def test_dark_and_reference_are_undone_in_one_step_that_shows_a_picture(
         assert share > 0.2
         assert name == "dark" or picture.width() == 215  # every other column of 430
         qtbot.waitUntil(lambda after=after: how() == after and window.controller.is_settled)  # type: ignore[misc] # mypy and defaults
-    assert f"before the new {name}; Ctrl+Z returns it" in window.messages.log
+    assert f"before the new {name}; press Ctrl+Z to return" in window.messages.log
 
 
 @pytest.mark.slow

@@ -266,7 +266,7 @@ def test_command_files_hold_the_phase(tmp_path: Path) -> None:
         (["layers", "--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 1"),
         (["layers", "--distance", "1e9"], "outside the search range, -4.8 ... 4.8 m from the lenslets"),
         (["layers", "--layers", "2", "--distance", "0.1"], "two layers need two distances, or none"),
-        (["corrector", "--out", "c.png"], "the file will not be what its name says"),
+        (["corrector", "--out", "c.png"], "c.png: .png does not fit the format"),
         (["corrector", "--modes", "actuators", "--count", "20"], "square"),
         (["corrector", "--count", "900"], "2 ... 500"),
         (["corrector", "--distance", "0.3", "--from", "mask"], "lies outside the search range"),

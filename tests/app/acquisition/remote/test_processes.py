@@ -269,7 +269,7 @@ def test_measure_attaches(
             said = capsys.readouterr().out
             assert re.search(r"4 frames, \d+ lost by the camera", said)  # of a process that was stopped for 0.2 s
             assert (tmp_path / "run" / "results.nc").exists()
-        fails(1, "an instrument runs as instrument already", "serve", "--bench", small_toml)
+        fails(1, "an instrument named instrument is running already", "serve", "--bench", small_toml)
         with connected() as other:
             wait_until(lambda: other.has_control)
             fails(1, "has control; take control first, with --take-control", *attached, tmp_path / "other")
