@@ -7,11 +7,12 @@ import stat
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 from support.paths import ROOT
 from support.patience import wait_until
@@ -33,7 +34,7 @@ time.sleep(600)
 def square(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
     """Work of the child."""
     for message in messages:
-        print("what is printed is no answer")  # noqa: T201 - the test is about it
+        print("what is printed is no answer", flush=True)  # noqa: T201 - the test is about it
         answer(message**2)
 
 
@@ -97,11 +98,4 @@ def test_process_ends_with_a_killed_parent() -> None:
         pid, answer = map(int, parent.stdout.readline().split())
         parent.kill()
     assert answer == 9
-    wait_until(lambda: not _exists(pid))
-
-
-def _exists(pid: int) -> bool:
-    with suppress(ProcessLookupError):
-        os.kill(pid, 0)
-        return True
-    return False
+    wait_until(lambda: not psutil.pid_exists(pid))

@@ -48,7 +48,7 @@ def test_child_has_a_console_of_its_own() -> None:
         (None, ""),
         (0, ""),
         (130, ""),
-        (-9, "was ended by SIGKILL"),
+        pytest.param(-9, "was ended by SIGKILL", marks=pytest.mark.posix),
         (0xC0000005, "crashed with the Windows error 0xc0000005"),
     ],
 )
