@@ -8,7 +8,6 @@ import sys
 import sysconfig
 import tarfile
 import tomllib
-import venv
 import zipfile
 from pathlib import Path
 
@@ -108,6 +107,8 @@ def wheel(source: Path) -> Path:
 @pytest.fixture(scope="module")
 def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Programs of an environment with the wheel alone; its dependencies are those of this environment."""
+    import venv  # noqa: PLC0415 - the Python of `make windows` lacks it
+
     folder = tmp_path_factory.mktemp("environment")
     venv.create(folder)
     names = {"base": str(folder), "platbase": str(folder)}

@@ -103,7 +103,7 @@ def _run_tests(cache: Path, room: str) -> int:
 
 
 def _wine(cache: Path, *command: str) -> int:
-    chosen = {name: os.environ[name] for name in ("ONLY", "DEATHS", "SAID") if name in os.environ}
+    chosen = {name: os.environ[name] for name in ("ONLY", "DEATHS", "SAID", "PYTEST_ADDOPTS") if name in os.environ}
     variables = [f"{name}={value}" for name, value in (_VARIABLES | chosen).items()]
     whole = [str(_HERE / "wine.sh"), str(cache), "env", *variables, *command]
     return subprocess.run(whole, cwd=ROOT, check=False).returncode  # noqa: S603 - our own
