@@ -17,11 +17,10 @@ from support.stand_ins.pseudo_terminal import PtyServer
 
 from windows.prepare import prepare
 from windows.shim import COMPILER
+from windows.wine_failures import WINE_FAILURES
 
 _HERE = Path(__file__).parent
 _PYTHON = "Z:\\win\\python\\python.exe"
-OF_WINE: dict[str, str] = {  # tests that fail under Wine alone: the reason
-}
 _VARIABLES = {
     "NUMBA_CACHE_DIR": "Z:\\win\\numba",
     "SVWFS_RUNTIME_DIR": "Z:\\win\\check",
@@ -97,7 +96,7 @@ def main(cache: Path) -> int:
 
 
 def _run_tests(cache: Path, room: str) -> int:
-    chosen = "-q -m 'not slow' -p no:cacheprovider " + " ".join(f"--deselect {name}" for name in OF_WINE)
+    chosen = "-q -m 'not slow' -p no:cacheprovider " + " ".join(f"--deselect {name}" for name in WINE_FAILURES)
     variables = [f"{name}={value}" for name, value in _VARIABLES_OF_TESTS.items()]
     return _wine(cache, *variables, "sh", "-c", f"cd /checkout && wine '{_PYTHON}' -m pytest {chosen} {room}")
 
