@@ -113,7 +113,7 @@ def _upright(image: NDArray[Any], orientation: int) -> NDArray[Any]:
 
 def _read_picture(path: Path) -> NDArray[Any]:
     """Read a PNG, BMP or PGM with the bits that it has."""
-    import cv2  # noqa: PLC0415 - most commands read none
+    from reconstruction.runtime.opencv import cv2  # noqa: PLC0415 - most commands read none
 
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a damaged file raises below
     with _silenced():

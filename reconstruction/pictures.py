@@ -4,11 +4,11 @@ import base64
 from html import escape
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
+from reconstruction.runtime.opencv import cv2
 
 _SIDE_PX = 240  # of the longer side, about
 _UNKNOWN = 0.85  # grey of what is NaN

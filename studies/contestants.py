@@ -24,7 +24,6 @@ from importlib import import_module
 from itertools import product
 from typing import Any
 
-import cv2
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -38,6 +37,7 @@ from reconstruction.displacement import Displacement
 from reconstruction.geometry import centered_steps
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.runtime.opencv import cv2
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.zonal import zonal_wavefront

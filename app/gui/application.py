@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
 from PyQt6.QtCore import QMessageLogContext, QTimer, QtMsgType, qInstallMessageHandler
 
 from app.acquisition.address import CLOSING_S, NAME
@@ -25,6 +24,7 @@ from app.gui.widgets.theme import styled_application
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.timing import StageTimes, TimedStage
+from reconstruction.runtime.opencv import cv2
 
 _FIRST_WAVEFRONT_S = 120.0  # timeout of an unattended run
 

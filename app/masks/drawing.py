@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from unittest.mock import patch
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -133,8 +134,9 @@ def _write_svg(drawing: Drawing, path: Path) -> None:
 
 def _write_dxf(drawing: Drawing, path: Path) -> None:
     """Write closed polylines in micrometres."""
-    from ezdxf.enums import InsertUnits
-    from ezdxf.filemanagement import new
+    with patch("configparser.ConfigParser.read"):  # which would read ezdxf.ini of the working folder
+        from ezdxf.enums import InsertUnits
+        from ezdxf.filemanagement import new
 
     document = new("R2010", units=int(InsertUnits.Microns))
     space = document.modelspace()

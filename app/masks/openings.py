@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,6 +16,7 @@ from app.errors import InputError
 from app.files import check_readable
 from reconstruction.arrays import Floats
 from reconstruction.geometry import centered_steps
+from reconstruction.runtime.opencv import cv2
 from simulated_devices.optics.source import OPTIMISED, read_grey_image
 from simulated_devices.settings import Source
 

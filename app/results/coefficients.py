@@ -242,7 +242,7 @@ def coefficient_sentences(maps: xr.Dataset) -> list[str]:
 
 def field_figure(maps: xr.Dataset, modes: Sequence[int]) -> Figure:
     """Return the figure of these modes, see `draw_field`."""
-    from matplotlib.figure import Figure
+    from app.plotting import Figure
 
     figure = Figure(figsize=(4.4 * min(_PAIRS, len(modes)), 2.9 * -(-len(modes) // _PAIRS)), layout="constrained")
     draw_field(figure, maps, modes)

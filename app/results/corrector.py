@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,11 +20,13 @@ from app.results.result_file import about
 from app.results.sources import phase_of
 from reconstruction.arrays import Floats
 from reconstruction.layers.corrector import Correction, Corrector, Influence, best_correction, field_positions_m
+from reconstruction.runtime.opencv import cv2
 from reconstruction.wavefront import Wavefront, rms
 
 if TYPE_CHECKING:
     import xarray as xr
-    from matplotlib.figure import Figure
+
+    from app.plotting import Figure
 
 PHASE_FORMATS = (".npy", ".fits", ".png")
 DEFAULT = Corrector("zernike", 45)
@@ -162,7 +163,7 @@ def corrector_sentence(found: xr.Dataset) -> str:
 
 def draw_corrector(found: xr.Dataset) -> Figure:
     """Draw the residual over the distance, and over the field."""
-    from matplotlib.figure import Figure
+    from app.plotting import Figure
 
     figure = Figure(figsize=(10.5, 4.2), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=[1.5, 1])

@@ -7,12 +7,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from app.plotting import Figure
+
+# isort: split
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, PowerNorm, to_rgba
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from numpy.typing import NDArray
 
 from app.results.pictures import step_above

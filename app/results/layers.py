@@ -23,10 +23,10 @@ from reconstruction.layers.layer_solver import Layer
 if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
     from app.measurement.measurement import Measurement
     from app.measurement.offline_reconstructor import OfflineReconstructor
+    from app.plotting import Figure
     from reconstruction.wavefront import Wavefront
 
 Origin = Literal["lenslets", "mask"]  # where distances are measured from
@@ -282,8 +282,7 @@ def set_distance_axes(axes: Axes, found: xr.Dataset, found_m: Floats) -> None:
 
 def draw_layers(found: xr.Dataset) -> Figure:
     """Draw the misfit over the distance, and phase and error of each layer."""
-    from matplotlib.figure import Figure
-
+    from app.plotting import Figure
     from app.results.figures import draw_map
 
     layers = found.sizes["layer"]

@@ -4,11 +4,11 @@ import math
 from typing import TypeAlias
 
 import contourpy
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats
+from reconstruction.runtime.opencv import cv2
 
 _MOST_CONTOURS = 16
 

@@ -4,12 +4,15 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from app.plotting import Figure
+
+# isort: split
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.colors import Normalize, to_rgb
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import SubFigure
 from matplotlib.image import imsave
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch

@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -14,6 +13,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import LINEAR, Linearity
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
 from reconstruction.runtime.compilation import compiled, inlined
+from reconstruction.runtime.opencv import cv2
 
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
 TOO_BRIGHT = "shorten the exposure or lower the light's current"

@@ -8,7 +8,6 @@ nor stripes pass for a lattice.
 import math
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
@@ -17,6 +16,7 @@ from reconstruction.arrays import SIGMA_OF_MEDIAN, Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Arrangement, Lattice
 from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
+from reconstruction.runtime.opencv import cv2
 
 REACH = 0.16  # relative error of the designed pitch that is searched
 _BINNED_PITCH_PX = 12  # pitch after binning; coarser frames would lose the lattice

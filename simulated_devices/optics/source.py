@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import tifffile
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Floats, reading_npy
 from reconstruction.geometry import centered_steps
+from reconstruction.runtime.opencv import cv2
 from simulated_devices.settings import Source
 
 _PEAKS_LOWEST, _PEAKS_HIGHEST = -6.551133332835839, 8.106213589442339

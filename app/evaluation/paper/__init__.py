@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import cv2
+from app.plotting import Figure
+
+# isort: split
 import numpy as np
 import pandas as pd
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
-from matplotlib.figure import Figure
 
 from app.acquisition.devices import simulated_bench
 from app.bench.config import Bench
@@ -28,6 +29,7 @@ from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import nominal_lattice
 from reconstruction.reconstructor import OwnMethods, OwnRegistration
+from reconstruction.runtime.opencv import cv2
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.wavefront import rms, without_piston
 from simulated_devices.camera import SimulatedCamera

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any
 
-import cv2
 import numpy as np
 import pyqtgraph as pg
 from numpy.typing import NDArray
@@ -27,6 +26,7 @@ from app.results.pictures import Pixels
 from app.results.pupil import Pupil
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
+from reconstruction.runtime.opencv import cv2
 
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of four borders
 _INSET = 0.88  # size of a lost lenslet's box over that of its cell
