@@ -166,6 +166,7 @@ class Instrument:
         self._solver: LiveEstimator | None = None
         self._before: Displacement | None = None  # displacement of the previous frame
         self._previous: Frame | None = None
+        self._search_problem = ""  # why layers and corrections grow old, as last polled
         self._is_of_settings = False  # whether they are the problem, and neither dark nor reference
         self._problem = self.references.doubt(self._now())
 
@@ -191,6 +192,7 @@ class Instrument:
         judged = Quality() if estimator is None else estimator.quality_checker.of_reference
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         blamed = "" if self._is_of_settings else problem
+        self._search_problem = "" if self._solver is None else self._solver.problem
         return Status(
             bench=self.bench,
             camera_name=camera.name,
@@ -212,7 +214,7 @@ class Instrument:
             dark=self.darks.state(of_dark),
             reference=self.references.state(blamed or of_reference),
             lattice=self._lattice,
-            warning=light.off_reason or problem or of_dark or of_reference or judged.sentence,
+            warning=light.off_reason or problem or of_dark or of_reference or self._search_problem or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,
             has_background_estimator=self._solver is not None and self._solver.has_background_estimator,
@@ -416,7 +418,9 @@ class Instrument:
         solve = partial(self._solver.solve, time_s=frame.camera_time_s)
         made = self._estimator.measure(frame, solve, self._timings, start=self._before, previous=previous)
         self._before = made.registered or self._before
-        return made
+        if made.wavefront is None or not self._search_problem:
+            return made
+        return replace(made, quality=made.quality | Quality.of(Fault.SEARCH, self._search_problem))
 
     def measure_single(self, frame: Frame, *, is_foreign: bool) -> Measurement:
         """Reconstruct a frame that is not live; see `LiveEstimator.solve_single`."""
@@ -473,6 +477,7 @@ class Instrument:
     def _prepare(self, cause: str) -> None:
         """Prepare the estimator again, the camera paused; a failure becomes the warning in the status."""
         self._estimator = self._before = None
+        self._problem = "the reconstruction could not be prepared: take the reference again"
         self.close()
         camera, bench, now = self.devices.camera, self.bench, self._now()
         dark, reference = (averages.choose(now) for averages in (self.darks, self.references))

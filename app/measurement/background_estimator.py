@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-from subprocess import Popen
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +25,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.refinement import Bias, Refinement
 from reconstruction.runtime.background import NICENESS, BackgroundProcess, Pickled, pickled
+from reconstruction.runtime.child_process import Child, Condition, condition_of
 from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import Wavefront, mean_rms
 
@@ -193,6 +193,7 @@ _CORRECTION_REST_S = 1.0  # at most, after a search with a correction, which wou
 _WAIT_S = 0.2
 _NOISES, _STILL_RAD = 2.0, 0.01  # changes of the wavefront from frame to frame, and a least one, that count as noise
 _ENDED = "the process that finds layers and corrections has ended: take the reference again"
+_FROZEN = "the process that finds layers and corrections was stopped: let it go on, or take the reference again"
 
 
 class LiveEstimator:
@@ -208,6 +209,7 @@ class LiveEstimator:
         self._searched: Wavefront | None = None  # since which nothing has changed, or the last one that was searched
         self._found = Found(None if searches else FREE)
         self._something_new, self._closing = threading.Event(), threading.Event()
+        self._is_refused = False  # by the reference; then the process ends
         self.has_background_estimator = searches or self._refines
         self._background_estimator = BackgroundEstimatorProcess(estimator) if self.has_background_estimator else None
         if self._background_estimator is not None:
@@ -216,9 +218,15 @@ class LiveEstimator:
             ).start()
 
     @property
-    def process(self) -> Popen[bytes] | None:
+    def process(self) -> Child | None:
         """The process of the background estimator, if it has one."""
         return None if self._background_estimator is None else self._background_estimator.process
+
+    @property
+    def problem(self) -> str:
+        """Why layers and corrections are no longer looked for; empty if they are, or the reference allows none."""
+        problems: dict[Condition, str] = {"alive": "", "frozen": _FROZEN, "gone": "" if self._is_refused else _ENDED}
+        return "" if self.process is None else problems[condition_of(self.process)]
 
     def close(self) -> None:
         """Stop at once."""
@@ -296,6 +304,7 @@ class LiveEstimator:
                     work_s = min(time.monotonic() - begin_s, _CORRECTION_REST_S)
                     self._rest(work_s if self._refines else max(work_s, found.rest_s), max(work_s, found.idle_s))
         except ReconstructionError as error:
+            self._is_refused = True
             self._give_up(str(error))
         except (EOFError, OSError):
             self._give_up(_ENDED)

@@ -31,6 +31,7 @@ class Fault(IntFlag):
     LINEARITY = 2048  # counts are not proportional to light
     PROPAGATION = 4096  # the light of subimages says that the bench's way of light is wrong
     SCALE = 8192  # the mask's image is not as large, or does not lie, as the bench says
+    SEARCH = 16384  # live: nothing looks for layers and corrections any more
 
 
 @dataclass(frozen=True, slots=True)

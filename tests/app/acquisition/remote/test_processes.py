@@ -28,6 +28,7 @@ from app.bench.config import load_bench, save_bench
 from app.errors import RunError
 from app.recording.folder import FRAME_LINES
 from app.recording.reader import Recording
+from reconstruction.quality.verdict import Fault
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder"), pytest.mark.posix]
 
@@ -154,14 +155,23 @@ def test_clients_see_the_state_of_each_process(small_toml: Path, tmp_path: Path)
             wanted = list(zip(("instrument", "background estimator"), conditions, strict=False))
             wait_until(lambda: [(each.name, each.condition) for each in connection.processes] == wanted)
 
+        def warning() -> str:
+            return "" if connection.status is None else connection.status.warning
+
         wait_for_wavefront(connection)
         are("alive", "alive")
         assert connection.processes[0].pid == running.pid
         background_estimator = connection.processes[1].pid
+        assert not warning()
         os.kill(background_estimator, SIGSTOP)
         are("alive", "frozen")
+        assert "layers and corrections was stopped" in warning()
         os.kill(background_estimator, SIGKILL)
         are("alive", "gone")
+        assert "layers and corrections has ended" in warning()
+        wait_for_more(connection)
+        assert connection.newest is not None
+        assert connection.newest.quality.faults == Fault.SEARCH
         running.send_signal(SIGSTOP)
         are("frozen")
         running.send_signal(SIGKILL)
