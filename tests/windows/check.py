@@ -39,6 +39,11 @@ with svwfs.connect() as instrument:
     instrument.record(sys.argv[1], frames=5)
     instrument.shut_down()
 """
+WATCHES = """
+import svwfs
+with svwfs.connect(watch=True) as instrument:
+    print(next(iter(instrument)).wavefront.views.shape)
+"""
 STILL_MEASURES = """
 import svwfs
 from itertools import islice
@@ -231,7 +236,7 @@ def window() -> str:
     """The window is killed once it shows wavefronts; its instrument measures on, until a client ends it."""
     with program(SCRIPTS / "svwfs-window.exe", "--bench", "small_demo") as shown:
         process = psutil.Process(wait_until("an instrument", address)["process"])
-        python("import svwfs\nwith svwfs.connect(watch=True) as instrument: next(iter(instrument))")
+        python(WATCHES)
         time.sleep(12)  # the window draws; layers are found after some seconds
         screenshot(FOLDER / "screen.png")
         for each in (process.parent(), shown):  # svwfs-window.exe has started the window
@@ -245,20 +250,20 @@ def window() -> str:
 
 
 def start_menu() -> str:
-    """The entry is opened, as by a click; its window starts an instrument, which a client ends."""
+    """The entry is opened, as by a click; its window starts an instrument, which a client watches."""
     ADDRESS.unlink(missing_ok=True)  # of one that was killed
     entry = Path(svwfs("desktop", "--bench", "small_demo").partition("entry: ")[2].strip())
     try:
         vars(os)["startfile"](entry)  # which Windows alone has
         wait_until("an instrument", address)
-        said = python(STILL_MEASURES)
+        said = python(WATCHES)
     finally:
         for each in psutil.Process().children(recursive=True):
             with suppress(psutil.Error):
                 each.kill()
         svwfs("desktop", "--remove")
     expect(f"{entry} is still there", is_so=not entry.exists())
-    return f"{entry.name} started an instrument, {said.strip()} frames"
+    return f"{entry.name} started a window and its instrument; a client saw {said.strip()}"
 
 
 def screenshot(file: Path) -> None:
