@@ -14,7 +14,6 @@ from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write
 from app.images import fits_file
-from app.measurement.measurement import Measurement
 from app.results import layers
 from app.results.result_file import about
 from app.results.sources import phase_of
@@ -220,14 +219,3 @@ def write_phase(path: Path, phase_rad: Floats) -> None:
 def wrapped(phase_rad: Floats) -> NDArray[np.uint8]:
     """Grey levels of a phase (row, column) for a modulator: 0 ... 255 for 0 ... 2 pi."""
     return np.asarray(np.rint(np.mod(phase_rad, 2 * math.pi) / (2 * math.pi) * _GREY) % _GREY, np.uint8)
-
-
-def find_shown_correctors(measurement: Measurement, origin: layers.Origin, corrector: Corrector) -> xr.Dataset | str:
-    """Compare correctors at every distance; return the problem if there are none."""
-    calibration, wavefront = measurement.calibration, measurement.wavefront
-    if calibration is None or wavefront is None:
-        return layers.WITHOUT_WAVEFRONT
-    try:
-        return compare_correctors(wavefront.at, calibration.bench, corrector, at_m=None, origin=origin)[0]
-    except ValueError as error:
-        return str(error)

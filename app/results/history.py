@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,7 @@ from reconstruction.wavefront import Wavefront, rms
 
 RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Temperature"
 UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
-_CALM_S = 2.0  # within its limits, until a series is back
+_CALM_S = 2.0  # within its limit, until a series is back
 
 
 def drift(values: Floats) -> tuple[float, float, float]:
@@ -26,42 +25,25 @@ def drift(values: Floats) -> tuple[float, float, float]:
     return float(np.mean(known)), sigma, float(np.ptp(known))
 
 
-@dataclass(frozen=True, slots=True)
-class SeriesLimits:
-    """Lowest and highest allowed value of a series; infinite where there is none."""
-
-    lowest: float = -math.inf
-    highest: float = math.inf
-
-    @property
-    def is_set(self) -> bool:
-        """True if there is one, and a value can be within them."""
-        return self != SeriesLimits() and self.lowest <= self.highest
-
-    def broken_by(self, value: float) -> str:
-        """Return "below" or "above" if a value is beyond one of them; empty if not, or if it is NaN."""
-        return "below" if value < self.lowest else "above" if value > self.highest else ""
-
-
 class LimitWatch:
-    """Tells once when a series crosses its limits, and once when it is back.
+    """Tells once when the magnitude of a series crosses its limit, and once when it is back.
 
-    It is back when it has been within for two seconds, so that noise at a limit is one crossing; at once if the limits
-    are others now.
+    It is back when it has been within for two seconds, so that noise at a limit is one crossing; at once if the limit
+    is another now.
     """
 
     def __init__(self) -> None:
-        self.beyond: dict[str, tuple[float, SeriesLimits]] = {}  # series; when it was last beyond which limits, s
+        self.beyond: dict[str, tuple[float, float]] = {}  # series; when it was last beyond which limit, s
 
     def follow(
-        self, time_s: float, values: Mapping[str, float], limits: Mapping[str, SeriesLimits]
+        self, time_s: float, values: Mapping[str, float], limits: Mapping[str, float]
     ) -> tuple[list[str], list[str]]:
         """Compare the values of a time; return the series that have crossed, and those that are back."""
         self.beyond = {name: last for name, last in self.beyond.items() if name in limits}
         crossed, back = [], []
         for name, limit in limits.items():
             value = values.get(name, math.nan)
-            if limit.broken_by(value):
+            if abs(value) > limit:
                 crossed += [name] * (name not in self.beyond)
                 self.beyond[name] = time_s, limit
             elif math.isfinite(value) and name in self.beyond:

@@ -2,26 +2,54 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
 
 import numpy as np
-from PyQt6.QtCore import QSignalBlocker
+from PyQt6.QtCore import QSignalBlocker, Qt
 
 from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice
 from app.gui.widgets.layouts import column, row
-from app.gui.widgets.plot import DistancePlot, origin_choice
+from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import AdaptiveScale, diverging, number, signed
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
-from app.results.layers import distance_in_words, find_shown_layers
+from app.results.layers import Origin, axis_label, distance_in_words, find_shown_layers, shown_range_m
+from reconstruction.arrays import Floats
 
 if TYPE_CHECKING:
     import xarray as xr
 
 _SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
 _INTERVALS_S = {1: 5.0, 2: 20.0}  # between two searches, by the number of layers
+
+
+class MisfitPlot(Plot):
+    """Misfit of a single layer over its distance, a dashed limit, and a vertical line at each distance found."""
+
+    def __init__(self) -> None:
+        keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
+        super().__init__("Unexplained (%)", axis_label("lenslets"), keys, widest="100")
+        self.graphics.setMinimumHeight(3 * self.fontMetrics().height())  # the window fits small screens
+        self.setToolTip(
+            "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
+            "The dashed line is any wavefront, without layers."
+        )
+        self.level = self.add_curve(theme.DIM, 1, Qt.PenStyle.DashLine)
+        self.curve, self.marks = self.add_curve(theme.ACCENT), self.add_curve(theme.AMBER)
+
+    def show_misfits(self, distance_m: Floats, misfits: Floats, limit: float, found_m: Floats, origin: Origin) -> None:
+        """Show misfits over distances (distance,), m, on an axis about those that were found (found,)."""
+        distance_mm = distance_m * 1e3
+        low_mm, high_mm = (1e3 * end_m for end_m in shown_range_m(found_m, distance_m, origin))
+        self.curve.setData(distance_mm, misfits)
+        self.level.setData([low_mm, high_mm], [limit, limit])
+        self.axes["bottom"].setLabel(axis_label(origin))
+        shown = misfits[(low_mm <= distance_mm) & (distance_mm <= high_mm)]
+        top = 1.1 * max(float(shown.max()), limit, 1e-6)
+        self.set_ranges((low_mm, high_mm), (0, top))
+        self.marks.setData(np.repeat(found_m * 1e3, 2), np.tile([0.0, top], found_m.size), connect="pairs")
 
 
 class LayersPanel(Panel):
@@ -34,13 +62,12 @@ class LayersPanel(Panel):
         self._scale = AdaptiveScale()
         modes = (("find one layer", 1), ("find two layers", 2))
         self.mode = Choice("Search for one or two layers every few seconds", modes, self._search_again)
-        self.origin = origin_choice()
-        keys = (("one layer", theme.ACCENT), ("found", theme.AMBER), ("limit", theme.DIM))
         about = (
-            "Share of the displacements (RMS) that a single layer at each distance does not explain.\n"
-            "The dashed line is any wavefront, without layers."
+            "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"
+            "From the lenslets, negative distances lie behind them; there is no distance from the mask there."
         )
-        self.plot = DistancePlot("Unexplained (%)", keys, about, widest="100")
+        self.origin = Choice(about, [(f"from the {origin}", origin) for origin in get_args(Origin)])
+        self.plot = MisfitPlot()
         self.map = ViewGrid((80, 50))
         self.map.setToolTip("Phase of each layer, without piston")
         self.sentence = ElidedLabel(lines=2)
@@ -76,8 +103,7 @@ class LayersPanel(Panel):
         with QSignalBlocker(self.origin):  # another than was chosen, if a layer has no distance from that one
             self.origin.setCurrentIndex(self.origin.findData(origin))
         misfits, least = 100 * found["misfit"].values, 100 * _misfit(found, "any wavefront")
-        self.plot.show_curve(found["distance"].values, misfits, least, at_m, origin)
-        self.plot.mark(at_m)
+        self.plot.show_misfits(found["distance"].values, misfits, least, at_m, origin)
         self._show_maps(found)
 
     def show_nothing(self) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from PyQt6.QtCore import QObject, pyqtSignal
@@ -61,12 +62,20 @@ class DisplayState(QObject):
         self.options = ""  # of the display, in words
         self.pupil: Pupil | None = None  # of the display
         self.replayed: tuple[str, float] | None = None  # name and time, s, of the shown frame of a recording
+        self.recording: Path | None = None  # folder of the recording that is replayed
         self.sigma_rad: float | None = None  # mean error of the shown wavefronts, RMS
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()
         self.has_open_tabs = True
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
+
+    def proposed(self, name: str) -> str:
+        """Return the name of a file to propose: beside the replayed recording, and with its name, if there is one."""
+        if self.recording is None:
+            return name
+        frame = "" if self.replayed is None else f" {self.replayed[0]}"
+        return str(self.recording.with_name(f"{self.recording.name}{frame} {name}"))
 
     @property
     def per_rad(self) -> float:

@@ -9,7 +9,6 @@ from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBa
 from app.gui.panels.camera import CameraPanel
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.gui.panels.controls import ControlsPanel
-from app.gui.panels.corrector import CorrectorPanel
 from app.gui.panels.histogram import HistogramPanel
 from app.gui.panels.history import HistoryPanel
 from app.gui.panels.layers import LayersPanel
@@ -44,7 +43,6 @@ class Panels(NamedTuple):
     histogram: HistogramPanel
     lenslet: LensletPanel
     layers: LayersPanel
-    corrector: CorrectorPanel
 
 
 def make_panels(shown: DisplayState) -> Panels:
@@ -89,11 +87,14 @@ class Dock(QDockWidget):
     def _entries(self) -> MoreEntries:
         return (
             *self.panel.more_entries(),
-            ("Save the numbers as CSV…", lambda: save_numbers(self.panel, self.panel.table())),
+            ("Save the numbers as CSV…", self._save_numbers),
             ("Copy the picture", partial(copy_picture, self.panel)),
             ("Float as a window, or dock again", lambda: self.setFloating(not self.isFloating())),
             ("Close (View > Panels opens it)", self.close),
         )
+
+    def _save_numbers(self) -> None:
+        save_numbers(self.panel, self.panel.table(), self.panel.shown.proposed(f"{self.panel.title.lower()}.csv"))
 
 
 class _TitleBar(QWidget):

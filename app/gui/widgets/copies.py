@@ -46,9 +46,9 @@ def as_table(heads: Iterable[str], rows: Iterable[Floats]) -> str:
     return "\n".join(filter(None, ["\t".join(heads), *lines]))
 
 
-def save_numbers(parent: QWidget, table: str) -> None:
+def save_numbers(parent: QWidget, table: str, proposed: str = "numbers.csv") -> None:
     """Ask for a file and write lines of tab-separated numbers into it, as CSV."""
-    path = ask_file(parent, "Save the numbers", "numbers.csv", "Table (*.csv)")
+    path = ask_file(parent, "Save the numbers", proposed, "Table (*.csv)")
     if path is not None:
         rows = [line.split("\t") for line in table.splitlines()]
         work = FileWork(parent, lambda problem: QMessageBox.warning(parent, "svwfs", problem))

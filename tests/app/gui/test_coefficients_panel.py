@@ -129,16 +129,17 @@ def test_history_charts_are_chosen_and_share_the_time_axis(window: MainWindow) -
     assert all(chart.value.width() >= chart.value.sizeHint().width() for chart in history.charts.values())
 
 
-def test_history_shows_the_drift_of_the_last_samples_and_exports_it(
+def test_history_shows_the_drift_of_the_time_shown_and_exports_it(
     window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     history = window.panels.history
     open_tab(window, "History")
     for index in range(120):
-        history.add(index / 5, {RMS: 100.0 if index < 20 else 2.0 + (index % 2)})
+        history.add(float(index), {RMS: 100.0 if index < 20 else 2.0 + (index % 2)})
+    history.minutes.setCurrentIndex(history.minutes.findData(1))
     mean, sigma, peak_to_peak = history.charts[RMS].drift.text().split(", ")
-    assert (mean, sigma, peak_to_peak) == ("mean 2.500", "\N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
-    history.samples.setCurrentIndex(history.samples.findData(500))
+    assert (mean, sigma, peak_to_peak) == ("mean 2.508", "\N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
+    history.minutes.setCurrentIndex(history.minutes.findData(2))
     assert history.charts[RMS].drift.text().endswith("peak to peak 98")
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "drift"), ""))
     history.export_csv()

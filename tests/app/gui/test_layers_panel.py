@@ -1,4 +1,4 @@
-"""Panels of the layers and of what a corrector could do, on a simulated frame whose layer is known."""
+"""Panel of the layers, on a simulated frame whose layer is known."""
 
 from __future__ import annotations
 
@@ -150,8 +150,7 @@ def test_closed_panels_compute_nothing(window: MainWindow, qtbot: QtBot, measure
     open_tab(qtbot, window, "Histogram")
     window.show_measurement(replace(measurement))
     window.analyses.poll()
-    for panel in (window.panels.layers, window.panels.corrector):
-        assert window.analyses.of[panel].request is None
+    assert window.analyses.of[window.panels.layers].request is None
 
 
 @pytest.mark.slow
@@ -200,28 +199,3 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
     window.close()
     assert not any(one.is_alive() for one in analysis.thread._threads)
     assert panel.sentence.text() == "Searching \N{HORIZONTAL ELLIPSIS}"
-
-
-@pytest.mark.slow
-def test_corrector_leaves_least_in_the_layer(window: MainWindow, qtbot: QtBot) -> None:
-    open_tab(qtbot, window, "Corrector")
-    panel = window.panels.corrector
-    qtbot.waitUntil(lambda: panel.sentence.text().startswith("One corrector"))
-    distance_mm, residual_rad = panel.plot.curve.getData()
-    assert abs(distance_mm[np.argmin(residual_rad)] - DISTANCE_M * 1e3) < 20
-    # At the pupil the deviation from the mean wavefront of the field remains, apart from the modes' own error.
-    bench = load_bench("small_demo")
-    sensor, light = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).light
-    s_m = sensor.pupil_x_m - 0.975 * np.linspace(-0.6e-3, 0.6e-3, 7)[:, None]  # (field, lenslet)
-    true = light.phase.at(s_m[None, :, None, :], s_m[:, None, :, None]).reshape(49, -1)
-    true -= true.mean(axis=1, keepdims=True)
-    assert residual_rad[distance_mm == 0] == pytest.approx(np.sqrt(np.mean((true - true.mean(axis=0)) ** 2)), rel=0.1)
-    without_rad = panel.plot.level.getData()[1][0]
-    assert without_rad == pytest.approx(np.sqrt(np.mean(true**2)), rel=0.02)
-    assert panel.sentence.text().startswith(
-        f"One corrector at the pupil leaves {residual_rad[distance_mm == 0][0]:.2g} of {without_rad:.2g} rad"
-    )
-    before = panel.sentence.text()
-    panel.corrector.setCurrentIndex(0)  # fewer modes
-    qtbot.waitUntil(lambda: panel.sentence.text() != before)
-    assert panel.plot.curve.getData()[1].min() > residual_rad.min()
