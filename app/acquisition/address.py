@@ -78,6 +78,11 @@ def is_taken(name: str) -> bool:
     return True
 
 
+def running() -> tuple[str, ...]:
+    """Return the names of this user's instruments that can be reached."""
+    return tuple(sorted(file.stem for file in runtime_folder().glob("*.json") if is_taken(file.stem)))
+
+
 @contextmanager
 def taken_address(name: str = NAME) -> Iterator[Address]:
     """Take the address of a name for this process until the end of a `with`.

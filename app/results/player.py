@@ -46,6 +46,12 @@ class Overview:
         most = (max(float(np.nanmax(values, initial=0)), 1e-9) for values in (self.valid, self.rms_rad))
         return time_s / longest_s, valid / next(most), rms_rad / next(most)
 
+    def at(self, position: int) -> str:
+        """Return time, RMS and number of valid lenslets of a frame in words."""
+        time_s, rms_rad, valid = (values[position] for values in (self.time_s, self.rms_rad, self.valid))
+        measured = f"RMS {rms_rad:.3g} rad, {valid:.0f} valid lenslets" if np.isfinite(rms_rad) else "no wavefront"
+        return f"{time_s:.2f} s: {measured}"
+
     def in_words(self, frames: range) -> list[tuple[int, str]]:
         """Return position, and place and reason in words, of each of the `frames` that has a fault."""
         return [

@@ -21,7 +21,7 @@ from reconstruction.wavefront import Wavefront, without_piston, without_zernikes
 MOST_AVERAGED = 100
 MOST_VIEWS = 9  # along each side
 REMOVABLE = dict(enumerate(zernike_names(28)[1:], 2))  # names of Zernike modes, by Noll's numbers
-_TILT = frozenset({2, 3})
+TILT = frozenset({2, 3})
 _SAME_RAD = 1e-3  # beyond rounding
 
 
@@ -101,7 +101,7 @@ class DisplayOptions:
     @property
     def in_words(self) -> str:
         """The options other than the defaults, for a caption; empty without any."""
-        tilt = _TILT if self.removed >= _TILT else frozenset[int]()
+        tilt = TILT if self.removed >= TILT else frozenset[int]()
         removed = [*["tilt"] * bool(tilt), *(REMOVABLE[number].split()[0] for number in sorted(self.removed - tilt))]
         parts = (
             f"no {', '.join(removed)}" * bool(removed),

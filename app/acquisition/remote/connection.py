@@ -54,6 +54,15 @@ def reach(
     return connection
 
 
+def switch_light_off(name: str) -> None:
+    """Switch off the light of the instrument of a name, whoever has control; `RunError` if it does not answer."""
+    connection = reach("light off", name, takes_control=False)
+    try:
+        connection.switch_light_off().result()
+    finally:
+        connection.close()
+
+
 def _sent(
     request: Callable[Concatenate[Acquisition, P], Future[T]],
 ) -> Callable[Concatenate["Connection", P], Future[T]]:

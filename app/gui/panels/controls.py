@@ -13,7 +13,7 @@ from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.settings_form import name_of
 from app.gui.panels.panel import DisplayState, Entries, Panel
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Slot, Toggle
+from app.gui.widgets.buttons import Button, Choice, Refusal, Slot, Toggle
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import Scrolled, captioned, column, row, row_of
 from app.gui.widgets.presentation import percent
@@ -72,6 +72,7 @@ class ControlsPanel(Panel):
         contents = QWidget()
         column(lines, *expert, (QWidget(), 1), spacing=_GAP_PX, parent=contents)
         column((Scrolled(contents), 1), parent=self)  # they are higher than a small screen
+        self._refusal = Refusal(self.header, self)
         self.setEnabled(False)
 
     def _make_devices(self) -> None:
@@ -151,13 +152,17 @@ class ControlsPanel(Panel):
             self.header.setEnabled(self.isEnabled())
         super().changeEvent(event)
 
-    def enable_devices(self, *, is_enabled: bool) -> None:
-        """Enable all, or only the refinement while a recording plays in place of the devices."""
-        self._has_devices = is_enabled
-        self.start.setVisible(is_enabled)
-        for control in (self.sample, *self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox))):
-            if control not in {self.refine, self.start}:
-                control.setEnabled(is_enabled)
+    def refuse(self, reason: str, *, is_replay: bool = False) -> None:
+        """Disable, for a reason, what this window cannot do; enable all, until the next status, without one.
+
+        A replay has no devices, and a window that only watches can switch the light off.
+        """
+        self._has_devices, self._refusal.reason = not is_replay, reason
+        self.start.setVisible(not is_replay)
+        usable = {self.refine, self.start} if is_replay else {self.light}
+        for control in (self.start, self.sample, *self.findChildren((QAbstractButton, QAbstractSpinBox, QComboBox))):
+            if control not in usable:
+                control.setEnabled(not reason)
 
     def show_status(self, status: Status) -> None:
         """Show the status, and wanted settings in place of those in force.
@@ -177,6 +182,8 @@ class ControlsPanel(Panel):
         self.reference.show_step(reference.validity, reference.taken_at, about_reference)
         pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
         self.lattice.show_step("good" if pitch else "missing", "", pitch)
+        if self._refusal.reason:
+            self.refuse(self._refusal.reason, is_replay=not self._has_devices)  # of what the status has enabled
 
     def _show_fields(self, status: Status) -> None:
         allowed, wanted = status.capabilities, self.shown.wanted

@@ -32,6 +32,7 @@ from app.results.shown_wavefront import (
     MOST_AVERAGED,
     MOST_VIEWS,
     REMOVABLE,
+    TILT,
     DisplayOptions,
     StoredWavefront,
     Unit,
@@ -209,7 +210,8 @@ class WavefrontPanel(Panel):
             self.warned.emit("there is no wavefront to export")
             return
         picture, bench, options = self.grab().toImage(), status.bench, self.menu.options.in_words
-        path = ask_file(self, "Export the shown wavefronts", "wavefronts.png", "Picture (*.png)", ".nc")
+        proposed = self.shown.proposed("wavefronts.png")
+        path = ask_file(self, "Export the shown wavefronts", proposed, "Picture (*.png)", ".nc")
         if path is None:
             return
         results = path.with_suffix(".nc")
@@ -366,6 +368,15 @@ class DisplayMenu(QMenu):
         remove = _StayingMenu("Remove", self)
         self.addMenu(remove)
         self.removed = {mode: QAction(name, remove) for mode, name in REMOVABLE.items()}
+        piston = QAction("Piston, which is not measured", remove)
+        self.tilt = QAction("Tip and tilt", remove)
+        for action, is_on in ((piston, True), (self.tilt, False)):
+            action.setCheckable(True)
+            action.setChecked(is_on)
+            action.setEnabled(not is_on)
+            remove.addAction(action)
+        self.tilt.triggered.connect(self._remove_tilt)
+        self.changed.connect(lambda: self.tilt.setChecked(self.options.removed >= TILT))
         for mode, action in self.removed.items():
             action.setObjectName(f"view/without {mode}")  # its state is kept between two starts
             action.setCheckable(True)
@@ -394,6 +405,10 @@ class DisplayMenu(QMenu):
         self.clear_stored.setEnabled(self.options.stored is not None)
         self.no_pupil.setEnabled(self.options.pupil is not None)
         self.changed.emit()
+
+    def _remove_tilt(self, is_removed: bool) -> None:
+        for mode in TILT:
+            self.removed[mode].setChecked(is_removed)
 
     def _choose_unit(self, unit: Unit) -> None:
         self.unit = unit

@@ -4,16 +4,18 @@ import math
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from functools import partial
 
 from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtGui import QKeyEvent, QWindow
 from PyQt6.QtWidgets import QApplication
 
-from app.acquisition.remote.connection import RunningInstrument
+from app.acquisition.address import running
+from app.acquisition.remote.connection import RunningInstrument, switch_light_off
 from app.acquisition.start_up import CalibrationStep
 from app.gui.panels.controls import ControlsPanel
 from app.gui.shell.controller import Controller
-from app.progress import counted
+from app.progress import counted, run_in_thread
 
 _REST_S = 1.0  # after a request to switch off: the second click of a double click, or a held key, lights nothing
 
@@ -50,6 +52,7 @@ class LightControl:
         self._controller, self._controls, self._messages = controller, controls, controller.messages
         self._end_sequence = end_sequence
         self._switching_off: Future[None] | None = None
+        self._elsewhere: dict[str, Future[None]] = {}  # lights of other instruments that are being switched off
         self._rests_until_s = -math.inf
         self.is_kept_off = False  # whether the user's last request was to switch off
 
@@ -65,6 +68,11 @@ class LightControl:
 
     def poll(self) -> bool:
         """Return whether a request to switch off has ended since the last call; show its error, if any."""
+        for name in [name for name, future in self._elsewhere.items() if future.done()]:
+            if (failed := self._elsewhere.pop(name).exception()) is None:
+                self._messages.inform(f"the light of {name} is off")
+            else:
+                self._messages.alarm(f"the light of {name} could not be switched off: {failed}")
         if self._switching_off is None or not self._switching_off.done():
             return False
         error, self._switching_off = self._switching_off.exception(), None
@@ -87,12 +95,12 @@ class LightControl:
 
         So two requests in a row never light it, whatever the first one did.
         """
-        acquisition = self._acquisition
+        acquisition, status = self._acquisition, self._controller.status
+        if status is not None and status.is_replay:
+            self._switch_off_elsewhere()
+            return
         if acquisition is None:
             self.is_kept_off = True  # when the bench that is being read, or that has failed, connects
-            return
-        if (status := acquisition.status) is not None and status.is_replay:  # whose light is recorded
-            self._messages.alarm("this window plays a recording: press F12 in the window of the instrument")
             return
         has_ended, now_s = self._end_sequence(), time.monotonic()
         is_busy, is_resting = has_ended or self._is_busy(acquisition), now_s < self._rests_until_s
@@ -113,6 +121,15 @@ class LightControl:
                 self._messages.warn(f"the light stays off: {why}; L switches it on")
             self._controls.light.setChecked(False)
             self._controls.show_switching_off()
+
+    def _switch_off_elsewhere(self) -> None:
+        """Switch off the lights of all instruments of this user: that of a recording shines on nobody."""
+        switched = {name: run_in_thread(partial(switch_light_off, name), "light off")[0] for name in running()}
+        self._elsewhere |= switched
+        if not switched:
+            self._messages.warn(
+                "no light was switched off: this window plays a recording, and no instrument of yours runs"
+            )
 
     def _is_busy(self, acquisition: RunningInstrument) -> bool:
         return bool(acquisition.activity.text) or self.is_switching_off or not self._controller.is_idle

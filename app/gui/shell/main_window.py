@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QDropEvent, QRegion, QResizeEvent
-from PyQt6.QtWidgets import QApplication, QFrame, QMainWindow, QMenuBar, QWidget
+from PyQt6.QtWidgets import QApplication, QFileDialog, QFrame, QMainWindow, QMenuBar, QWidget
 
 from app.acquisition.address import CLOSING_S, NAME, NameTaken, NotRunning
 from app.acquisition.instrument import Activity, Status
@@ -86,6 +86,7 @@ class MainWindow(QMainWindow):
         self.unsaved: list[str] = []  # why files were not written when the window was closed
         self._status: Status | None = None  # as shown
         self._failure, self._activity, self._is_silent = "", Activity(), False
+        self._notice = ""  # why commands are refused, as shown
         self._alarm_tracker = AlarmTracker()
         self._unpainted: tuple[Measurement, Timings, float] | None = None  # with the seconds of drawing so far
         self._rests_until_s = 0.0  # after a slow redraw
@@ -184,6 +185,7 @@ class MainWindow(QMainWindow):
             "&File": (
                 *self.recording_bar.menu_entries(),
                 None,
+                ("Open a frame…", "", self._choose_frame),
                 *self._entries_of_panels("&File"),
                 ("Save a screenshot", "Ctrl+P", self.save_screenshot),
                 None,
@@ -300,7 +302,12 @@ class MainWindow(QMainWindow):
             self.controls.show_unreached_light()
         is_ready = self._status is not None and not self._failure and not self._is_silent
         self.controls.setEnabled(is_ready)
-        self.recording_panel.setEnabled(is_ready and self.replay.isHidden())
+        if self.replay.isHidden() and self.controller.notice != self._notice:
+            self._notice = self.controller.notice
+            self.controls.refuse(self._notice)
+            self._forget_status()
+        self.recording_panel.setEnabled(is_ready and self.replay.isHidden() and not self._notice)
+        self.recording_panel.refusal.reason = self._notice
         self.messages.show_activity(self._activity, may_cancel=is_ready)
         self.replay.refresh()
         if self._failure:
@@ -399,6 +406,13 @@ class MainWindow(QMainWindow):
             getattr(self.panels, cause).front_requested.emit()
         else:
             self.messages.show_log.click()
+
+    def _choose_frame(self) -> None:
+        """Show the frame of a file, with a search for layers of its own, as a dropped one."""
+        kinds = f"Frame ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
+        name, _ = QFileDialog.getOpenFileName(self, "Open a frame", "", kinds)
+        if name:
+            self.open_file(Path(name))
 
     def open_file(self, path: Path) -> None:
         if answer(path.is_dir, otherwise=False):

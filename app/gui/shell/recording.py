@@ -19,7 +19,7 @@ from app.gui.shell.controller import Controller
 from app.gui.shell.menus import RecentFiles
 from app.gui.shell.status_text import gaps_in_words, recording_ended
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Button, Choice, Toggle
+from app.gui.widgets.buttons import Button, Choice, Refusal, Toggle
 from app.gui.widgets.copies import ask_file
 from app.gui.widgets.fields import NumberField, TextField
 from app.gui.widgets.file_work import FileWork, answer
@@ -35,6 +35,7 @@ from drivers.interface import Range
 
 _WIDEST = "disk space for 000 min"  # of more, the end is elided: the tool tip has it
 _STOP = "Stop REC"  # another word than that of the camera
+_LIMITS = Range(0, 1e6)  # of frames or seconds after which a recording ends
 _BEHIND = 70  # waiting frames from which the number is shown
 _DISK_INTERVAL_S = 5.0  # between two queries of the free disk space
 _END_MS = 3000  # for a command that is to end
@@ -55,10 +56,14 @@ class RecordingPanel(QWidget):
         self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        fill_strip(self, self.text, self.keep, self.record)
+        self.next = Button("\N{HORIZONTAL ELLIPSIS}", "Name, note and end of the next recording (Shift+W)")
+        self.next.setProperty("role", "more")
+        self.next.setAccessibleName("Name, note and end of the recording")
+        fill_strip(self, self.text, self.keep, self.record, self.next)
         self._show_button(is_recording=True)
         self.record.setMinimumWidth(self.record.sizeHint().width())  # of the longer of its two texts
         theme.follow(self, lambda: self._show_button(is_recording=self.record.isChecked()))
+        self.refusal = Refusal(self)
         self.show_state(None)
 
     def show_state(
@@ -115,6 +120,7 @@ class RecordingBar(QFrame):
         self.setProperty("role", "strip")
         self._controller, self._messages, self._panel = controller, controller.messages, panel
         panel.record.clicked.connect(self._record)
+        panel.next.clicked.connect(self.prepare)
         panel.keep.clicked.connect(
             lambda: controller.send(lambda to: to.keep_recent(self._new_folder("-kept"), may_rename=True))
         )
@@ -136,7 +142,7 @@ class RecordingBar(QFrame):
         self.done = Button("Close", "Hide this bar", self.hide)
         described = (self.text, 3), (self.name, 2), (self.note, 3)
         fill_strip(self, *described, *self._of_limit, self.recover, *self._uses, self.done)
-        self._show_stage(None)
+        self._forget()
         self.hide()
 
     def _make_description(self) -> None:
@@ -150,7 +156,6 @@ class RecordingBar(QFrame):
 
     def _make_limit(self) -> None:
         self.stop_after = NumberField(name="Stop after", tool_tip="The recording ends by itself", lowest="never")
-        self.stop_after.show_value(0, Range(0, 1e6))
         self.unit = Choice("Frames, or seconds between the first and the last", ("frames", "s"))
         self.stop_after.entered.connect(lambda _: self._limit())
         self.unit.activated.connect(lambda _: self._limit())
@@ -299,12 +304,14 @@ class RecordingBar(QFrame):
 
     def _forget(self) -> None:
         self._finished = None
+        self.stop_after.show_value(0, _LIMITS)
         self.name.show_text("")
         self.note.show_text("")
         self._show_stage(None)
 
     def _finish(self, state: RecordingState) -> None:
         self._finished = _Finished(state.folder, state)
+        self.stop_after.show_value(0, _LIMITS)  # the limit was for this recording
         self._show_stage(state)
         self.show()
         if (self.name.text() or self.note.text()) and state.problem != _CUT_OFF:  # else when it is recovered
@@ -332,7 +339,7 @@ class RecordingBar(QFrame):
 
     def _check_name(self, name: str) -> None:
         """Show in red, and say, why a name that is being typed cannot be used."""
-        problem = name_problem(name)
+        problem = name_problem(name.strip())
         mark_refused(self.name, is_refused=bool(problem))
         self.name.setToolTip(problem or _NAME_TIP)
         if problem != self._name_problem:

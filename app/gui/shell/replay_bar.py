@@ -6,9 +6,9 @@ from functools import partial
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QSignalBlocker, Qt
-from PyQt6.QtGui import QMouseEvent, QPainter, QPaintEvent, QPen
-from PyQt6.QtWidgets import QFrame, QSlider
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt
+from PyQt6.QtGui import QHelpEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QFrame, QSlider, QToolTip
 
 from app.acquisition.instrument import Status
 from app.gui.panels.controls import ControlsPanel
@@ -29,6 +29,7 @@ _POINTS = 1000  # of a curve, and places of marks
 _MARGIN_PX = 3
 _MARK_PX = 5  # height
 _MOST_LISTED = 40  # frames with a fault
+_RECORDED = "This window plays a recording: no device belongs to it"
 _ABOUT = (
     "Click or drag: go to a frame. Blue: RMS of each frame as it was recorded; green: number of valid lenslets.\n"
     "Marks: red for bad frames, amber for saturated, grey for dark ones."
@@ -61,8 +62,15 @@ class Timeline(QSlider):
         painter.fillRect(self.rect(), theme.RAISED)
         if self._overview is not None:
             place, valid, rms = self._overview.course(_POINTS)
-            for colour, of_1 in ((theme.GREEN, valid), (theme.ACCENT, 0.8 * rms)):
+            most_rad, most_valid = (np.nanmax(of, initial=0) for of in (self._overview.rms_rad, self._overview.valid))
+            left = _MARGIN_PX
+            for colour, of_1, most in (
+                (theme.GREEN, valid, f"{most_valid:.0f} lenslets"),
+                (theme.ACCENT, 0.8 * rms, f"RMS to {most_rad:.2g} rad"),
+            ):
                 painter.setPen(QPen(colour, 1))
+                painter.drawText(left, self.fontMetrics().ascent(), most)
+                left += self.fontMetrics().horizontalAdvance(f"{most}   ")
                 x, y = _MARGIN_PX + self._reach_px * place, height - (height - 2) * of_1
                 painter.drawPath(pg.arrayToQPath(x, y, connect="finite"))
         for place, colour in self._marks.items():
@@ -85,8 +93,18 @@ class Timeline(QSlider):
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         if event is not None and self.isSliderDown():
-            place = (event.position().x() - _MARGIN_PX) / self._reach_px
-            self.setValue(int(np.abs(self._place - place).argmin()))
+            self.setValue(self._position_at(event.position().x()))
+
+    def _position_at(self, x_px: float) -> int:
+        return int(np.abs(self._place - (x_px - _MARGIN_PX) / self._reach_px).argmin())
+
+    def event(self, event: QEvent | None) -> bool:
+        """Say in the tool tip what was measured of the frame under the pointer."""
+        if isinstance(event, QHelpEvent) and event.type() == QEvent.Type.ToolTip and self._overview is not None:
+            text = f"{self._overview.at(self._position_at(event.pos().x()))}\n\n{_ABOUT}"
+            QToolTip.showText(event.globalPos(), text, self)
+            return True
+        return super().event(event)
 
     def mouseReleaseEvent(self, _: QMouseEvent | None) -> None:  # noqa: N802 - Qt's name
         self.setSliderDown(False)
@@ -129,24 +147,23 @@ class ReplayBar(QFrame):
 
     def use(self, player: Player | None) -> None:
         """Move through the frames of another player; hide without one."""
-        if self._player is not None and player is None:
-            self._controls.enable_devices(is_enabled=True)
         self._player, self._wanted, self._moving = player, None, None
         self._overview, self._controls.shown.replayed = None, None
+        self._controls.shown.recording = None if player is None else player.folder
         self._reading.forget()
+        self._controls.refuse(_RECORDED * (player is not None), is_replay=player is not None)
         self.setVisible(player is not None)
         for step in (self.back, self.forth):
             step.setEnabled(player is not None)
         if player is None:
             return
-        self._controls.enable_devices(is_enabled=False)
         with QSignalBlocker(self.slider):  # it stands where the recording before was
             self.slider.setRange(0, len(player.frames) - 1)
             self.slider.setValue(0)
         self.slider.show_overview(None, frozenset())
         self._reading.run(player.overview, self._show_overview)
         last = player.frames[-1]
-        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last} ... {last}  "))
+        self.text.setMinimumWidth(self.text.fontMetrics().horizontalAdvance(f"frame {last} of {last}  "))
 
     def show_measurement(self, measurement: Measurement | None) -> None:
         """Tell the panels which recorded frame this is, and when it was taken; show its light."""
@@ -158,9 +175,8 @@ class ReplayBar(QFrame):
         self._controls.light.setText(f"Light was {'off' if position in overview.is_dark else 'on'}")
 
     def show_status(self, status: Status) -> None:
-        """Show whether the recording plays; disable the devices, which the status has enabled."""
+        """Show whether the recording plays."""
         if self._player is not None:
-            self._controls.enable_devices(is_enabled=False)
             self.play.setText("Pause" if status.is_running else "Play")
             self.play.setIcon(theme.start_or_stop(is_running=status.is_running))
             self.show_measurement(self._controls.shown.measurement)
@@ -215,8 +231,9 @@ class ReplayBar(QFrame):
             self.time.setText(f"{self._overview.time_s[position]:.2f} s")
         if self._player is not None:
             frames = self._player.frames
-            self.text.setText(f"frame {frames[position]} of {frames[0]} ... {frames[-1]}")
-            self.text.setToolTip("Frames are counted from 0, as in files, messages and --frames")
+            self.text.setText(f"frame {frames[position]} of {frames[-1]}")
+            first = f"The first is frame {frames[0]}"
+            self.text.setToolTip(f"{first}; frames are counted from 0, as in files, messages and --frames")
 
     def _move(self, position: int) -> None:
         if self._player is not None:

@@ -35,7 +35,7 @@ class VerdictButton(Button):
         wavefront = None if measurement is None else measurement.wavefront
         badge, reason, is_grey = shown.data_freshness
         self.valid, self.cause, lamp, colour = NOTHING, "", "missing", theme.DIM
-        word, about = "NO WAVEFRONT" if measurement is not None else "NO FRAME", list[str]()
+        word, about = "NO WAVEFRONT" if measurement is not None else "NO FRAME", [f"{badge}: {reason}"] * bool(badge)
         numbers, is_searching = list[str](), badge.startswith("ANOTHER")
         if measurement is not None and shown.statistics is not None:
             numbers.append(percent(shown.statistics.peak / shown.statistics.clip_level))
@@ -49,6 +49,8 @@ class VerdictButton(Button):
                 self.cause, lamp, colour = "lenslet", "doubtful", theme.AMBER
                 word, colour = ("FAIR", theme.AMBER) if valid.mean() >= 0.5 else ("POOR", theme.RED)
             about += [*wavefront.displacement.summary, *_assumed(measurement), mask_note]
+            if badge and word == "GOOD":  # green is for a live frame
+                word, lamp, colour = badge.partition(" ")[0].rstrip(","), "missing", theme.TEXT
         if shown.verdict.text:
             about.append(shown.verdict.reason)
         if shown.verdict.text == "fail":

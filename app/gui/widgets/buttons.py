@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterable
 
-from PyQt6.QtCore import QEvent, QSize, Qt, pyqtBoundSignal
-from PyQt6.QtGui import QAction, QKeyEvent, QWheelEvent
-from PyQt6.QtWidgets import QComboBox, QPushButton, QStyle, QStyledItemDelegate, QStyleOptionComboBox, QWidget
+from PyQt6.QtCore import QEvent, QObject, QSize, Qt, pyqtBoundSignal
+from PyQt6.QtGui import QAction, QHelpEvent, QKeyEvent, QWheelEvent
+from PyQt6.QtWidgets import QComboBox, QPushButton, QStyle, QStyledItemDelegate, QStyleOptionComboBox, QToolTip, QWidget
 
 from app.bench.settings_form import name_of
 
@@ -133,3 +133,21 @@ def scrolls_past(event: QEvent | None, widget: QWidget) -> bool:
     if event is not None and is_past:
         event.ignore()
     return is_past
+
+
+class Refusal(QObject):
+    """Shows for a reason, in place of their tool tips, why widgets in some parents are disabled."""
+
+    def __init__(self, *parents: QWidget) -> None:
+        super().__init__(parents[0])
+        self.reason = ""
+        for each in (each for parent in parents for each in parent.findChildren(QWidget)):
+            each.installEventFilter(self)
+
+    def eventFilter(self, on: QObject | None, event: QEvent | None) -> bool:  # noqa: N802 - Qt's name
+        if not self.reason or not isinstance(event, QHelpEvent) or event.type() != QEvent.Type.ToolTip:
+            return False
+        if not isinstance(on, QWidget) or on.isEnabled():
+            return False
+        QToolTip.showText(event.globalPos(), self.reason, on)
+        return True

@@ -12,6 +12,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from PyQt6.QtCore import QEvent, QPoint
+from PyQt6.QtGui import QHelpEvent
+from PyQt6.QtWidgets import QApplication, QToolTip
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S, own_time, wait_until
@@ -115,8 +118,22 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
         window = make_window()
         window.open(InstrumentFactory(lambda: reach("window"), lambda _: ()))
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
+        controls, panel = window.controls, window.recording_panel
+        commanding = controls.start, controls.dark, controls.exposure, controls.refine, panel.record, panel.keep
+        qtbot.waitUntil(controls.light.isEnabled)  # any client may switch it off
+        assert not any(each.isEnabled() for each in commanding)
+        window.show_status(server.acquisition.status)  # a status enables what the devices have
+        assert not any(each.isEnabled() for each in commanding)
+        assert controls.light.isEnabled()
+        told: list[str] = []
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(QToolTip, "showText", lambda _at, text, _on: told.append(text))
+            for each in (controls.dark, controls.start, panel.record):
+                QApplication.sendEvent(each, QHelpEvent(QEvent.Type.ToolTip, QPoint(2, 2), QPoint(2, 2)))
+        assert [text.startswith("this program only watches: notebook") for text in told] == [True] * 3
         window.messages.control.click()
         qtbot.waitUntil(lambda: "watches" not in said_in(window))
+        qtbot.waitUntil(lambda: all(each.isEnabled() for each in commanding))
         assert window.messages.control.isHidden()
         connection = window.controller.connection
         assert connection is not None
@@ -195,7 +212,7 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
         assert reference.exception(HANG_S) is not None
         notebook.start_recording(tmp_path / "run").result(HANG_S)
         qtbot.waitUntil(panel.record.isChecked)
-        is_refused(panel.record.click)
+        assert not panel.record.isEnabled()
         is_refused(lambda: bar.stop_after.entered.emit(5.0))
         window.controller.end_instrument()
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QAction
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu
 from pytestqt.qtbot import QtBot
@@ -119,6 +120,21 @@ def test_menu_of_removed_modes_stays_open_for_the_next(window: MainWindow, qtbot
     assert remove.isVisible()
     assert menu.options.removed == {2, 3}
     remove.close()
+
+
+def test_tip_and_tilt_are_removed_in_one_step_and_piston_is_none_to_remove(window: MainWindow) -> None:
+    menu = window.panels.wavefronts.menu
+    menu.tilt.trigger()
+    assert menu.options.removed == {2, 3}
+    menu.removed[3].trigger()
+    assert not menu.tilt.isChecked()
+    menu.tilt.trigger()
+    assert menu.options.removed == {2, 3}
+    menu.tilt.trigger()
+    assert not menu.options.removed
+    (piston,) = (each for each in menu.findChildren(QAction) if each.text().startswith("Piston"))
+    assert piston.isChecked()
+    assert not piston.isEnabled()
 
 
 def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, qtbot: QtBot) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
-from PyQt6.QtGui import QDragEnterEvent, QDragMoveEvent, QDropEvent
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtGui import QAction, QDragEnterEvent, QDragMoveEvent, QDropEvent
+from PyQt6.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
 from support.records import make_record, write
@@ -100,16 +100,27 @@ def test_bench_is_opened(live: tuple[MainWindow, FakeCamera], tmp_path: Path, mo
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("is_dropped", [True, False])
 def test_frame_is_reconstructed_until_the_camera_starts(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, tmp_path: Path
+    live: tuple[MainWindow, FakeCamera],
+    qtbot: QtBot,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    *,
+    is_dropped: bool,
 ) -> None:
     """The reference frame, brightened: the wavefront is flat."""
     window, camera = live
     assert window.controller.acquisition is not None
     reference = 500 + 40000 * camera._images[0]
     tifffile.imwrite(tmp_path / "flat.tif", np.rint(reference).astype(np.uint16))
-    drop(window, tmp_path / "flat.tif")
+    if is_dropped:
+        drop(window, tmp_path / "flat.tif")
+    else:
+        monkeypatch.setattr(QFileDialog, "getOpenFileName", lambda *_: (str(tmp_path / "flat.tif"), ""))
+        next(each for each in window.findChildren(QAction) if each.text() == "Open a frame…").trigger()
     qtbot.waitUntil(lambda: window.panels.camera.badge.text() == "FILE flat.tif")
+    assert not window.verdict.text().startswith("GOOD")
     newest = window.controller.acquisition.newest
     assert newest is not None
     np.testing.assert_array_equal(newest.frame.pixels, np.rint(reference).astype(np.uint16))

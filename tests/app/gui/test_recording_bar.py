@@ -75,8 +75,10 @@ def test_recording_ends_by_itself_with_name_and_note(
     bar = window.recording_bar
     assert not bar.isVisible()
     window.activateWindow()
-    bar.prepare()
-    type_into(qtbot, bar.name, "mouse 7")
+    window.recording_panel.next.click()
+    assert bar.stop_after.isVisible()
+    type_into(qtbot, bar.name, "mouse 7 ")
+    assert not bar.name.styleSheet()  # the space at its end is harmless
     type_into(qtbot, bar.note, "3 % agarose")
     record(qtbot, window, tmp_path, frames=4)
     qtbot.waitUntil(lambda: "Saved as " in window.messages.log)
@@ -88,6 +90,7 @@ def test_recording_ends_by_itself_with_name_and_note(
     assert recording.run["note"] == "3 % agarose"
     assert bar.text.text() == f"4 frames in {folder.name}"
     assert not bar.stop_after.isVisible()
+    assert not bar.limit.frames  # of the next recording
     bar.open.click()
     assert opened == [folder]
     bar.done.click()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,10 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
-from PyQt6.QtWidgets import QApplication, QComboBox, QWidget
+from PyQt6.QtGui import QHelpEvent
+from PyQt6.QtWidgets import QApplication, QComboBox, QFileDialog, QToolTip, QWidget
 from pytestqt.qtbot import QtBot
+from support.gui_bench import FakeCamera
 from support.recordings import record
 from support.records import frame_file
+from support.served import served
 from support.window_tools import click, part, picture, press
 
 from app.acquisition.worker import Acquisition
@@ -85,7 +89,7 @@ def pause(qtbot: QtBot, window: MainWindow) -> None:
     qtbot.waitUntil(lambda: window.replay.play.text() == "Play")
     window.replay.refresh()  # or the slider, still at an earlier frame, might not move
     window.replay.slider.setValue(3)
-    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 2 ... 7")
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 5 of 7")
     qtbot.waitUntil(lambda: window.replay._wanted is None and window.replay._moving is None)
 
 
@@ -96,7 +100,7 @@ def test_steps_show_the_frame_beside(window: MainWindow, qtbot: QtBot, recording
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 3)
     press(qtbot, window, Qt.Key.Key_Period)
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 4)
-    assert window.replay.text.text() == "frame 6 of 2 ... 7"
+    assert window.replay.text.text() == "frame 6 of 7"
     window.replay.back.click()
     window.replay.back.click()
     qtbot.waitUntil(lambda: shown_frame(window, recording) == 2 + 2)
@@ -173,7 +177,7 @@ def test_devices_are_disabled_and_reconstruction_is_not(window: MainWindow, qtbo
     before = counts(window)
     press(qtbot, window, Qt.Key.Key_L)  # the light
     press(qtbot, window, Qt.Key.Key_Period)
-    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 6 of 2 ... 7")
+    qtbot.waitUntil(lambda: window.replay.text.text() == "frame 6 of 7")
     assert window.controller.status is not None
     assert window.controller.status.is_light_on
     qtbot.waitUntil(lambda: counts(window) != before)
@@ -347,7 +351,7 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
         step.click()
         qtbot.waitUntil(partial(is_at, window, player, end))
         bar.refresh()
-        assert bar.text.text() == f"frame {end} of 0 ... {FRAMES - 1}"  # as in the messages below
+        assert bar.text.text() == f"frame {end} of {FRAMES - 1}"  # as in the messages below
     assert bar.slider.marked == {3, 5}
     assert "Frame 3 skipped: " in window.messages.log
     assert "Frame 5 skipped: " in window.messages.log
@@ -360,11 +364,55 @@ def test_damaged_frames_are_skipped_with_a_notice_and_marked(
     assert not window.controller.failure
 
 
-def test_light_key_does_not_touch_the_recorded_light(window: MainWindow, qtbot: QtBot) -> None:
-    press(qtbot, window, Qt.Key.Key_F12)
-    qtbot.waitUntil(lambda: "window of the instrument" in window.messages.text.text())
+def is_recorded_light_on(window: MainWindow) -> bool:
     acquisition = window.controller.acquisition
-    assert acquisition is not None
-    assert not window.light.is_switching_off
-    assert acquisition.status is not None
-    assert acquisition.status.is_light_on
+    return acquisition is not None and acquisition.status is not None and acquisition.status.is_light_on
+
+
+@pytest.mark.usefixtures("runtime_folder")
+def test_emergency_key_without_an_instrument_says_that_nothing_was_switched(window: MainWindow, qtbot: QtBot) -> None:
+    press(qtbot, window, Qt.Key.Key_F12)
+    qtbot.waitUntil(lambda: "no instrument of yours runs" in window.messages.text.text())
+    assert is_recorded_light_on(window)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("runtime_folder")
+def test_emergency_key_in_a_replay_switches_the_light_of_the_instrument_off(window: MainWindow, qtbot: QtBot) -> None:
+    camera = FakeCamera()
+    with served(camera):
+        qtbot.waitUntil(lambda: camera.light.shines)
+        press(qtbot, window, Qt.Key.Key_F12)
+        qtbot.waitUntil(lambda: "The light of instrument is off" in window.messages.log)
+        assert not camera.light.shines
+    assert is_recorded_light_on(window)
+
+
+def test_verdict_and_tool_tip_are_of_the_recording(window: MainWindow, qtbot: QtBot) -> None:
+    qtbot.waitUntil(lambda: window.replay._overview is not None)
+    assert window.verdict.text().startswith("REPLAY ")
+    assert window.verdict.property("tone") == theme.tone(theme.TEXT)  # green is for a live frame
+    bar, told = window.replay.slider, list[str]()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(QToolTip, "showText", lambda _at, text, _on: told.append(text))
+        place = QPoint(bar.width() - 3, 5)
+        QApplication.sendEvent(bar, QHelpEvent(QEvent.Type.ToolTip, place, bar.mapToGlobal(place)))
+    assert re.match(r"\d+\.\d\d s: RMS [\d.]+ rad, 35 valid lenslets\n", told[0])
+
+
+def test_files_are_proposed_beside_the_recording_with_its_name(
+    window: MainWindow, qtbot: QtBot, recording: Recording, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def refuse(_parent: object, _title: str, proposed: str, *_: object) -> tuple[str, str]:
+        asked.append(proposed)
+        return "", ""
+
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", refuse)
+    qtbot.waitUntil(lambda: window.shown.replayed is not None)
+    window.panels.wavefronts.export()
+    window.panels.history.export_csv()
+    assert all(Path(name).parent == recording.folder.parent for name in asked)
+    assert re.fullmatch(r"run frame \d wavefronts\.png", Path(asked[0]).name)
+    assert re.fullmatch(r"run frame \d history\.csv", Path(asked[1]).name)
