@@ -26,8 +26,8 @@ from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
 
 _CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen"
-_FULL, _FROZEN = "full range", "frozen contrast"
-_CONTRASTS = ("auto contrast", _FULL, _FROZEN)
+_FULL, _FROZEN = "Full range", "Frozen contrast"
+_CONTRASTS = ("Auto contrast", _FULL, _FROZEN)
 _LEVELS_SLACK = 0.1  # of their span: smaller changes leave black and white alone, so that nothing flickers
 _MOST_COUNTS = 65535  # while the full scale is unknown
 _CLOSEST_PX = 8  # side of the smallest area that fills the view
@@ -81,12 +81,12 @@ class CameraPanel(Panel):
         colours = "False colours (inferno) in place of grey"
         self.colours = checkable(self, "False colours", colours, self._draw, key="camera/colours")
         self.contrast = Choice(_CONTRAST_TIP, _CONTRASTS, self._adapt_contrast, key="camera/contrast")
-        self.tool = Choice(_TOOL_TIP, _TOOLS.items(), self._use_tool)
+        self.tool = Choice(_TOOL_TIP, [(name.capitalize(), name) for name in _TOOLS], self._use_tool)
         self._make_picture()
         self.caption = ElidedLabel("dim", lines=2, least=2)  # the picture must not move under a drag
         self.header = row_of(self.tool, self.contrast, (QWidget(), 1))
         column((self._graphics, 1), self.measuring, self.caption, spacing=2, parent=self)
-        self.badge, self._placeholder = label("", "badge"), label("no frame yet", "dim")
+        self.badge, self._placeholder = label("", "badge", is_wrapped=True), label("No frame yet", "dim")
         self.badge.hide()
         over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
         over.setAlignment(self.badge, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignTop)
@@ -238,7 +238,7 @@ class CameraPanel(Panel):
         parts, colour = list[str](), theme.DIM
         found = self.shown.statistics
         if found is not None and self.full_scale:
-            brightness = f"peak {percent(found.peak / self.full_scale)} of full scale"
+            brightness = f"Peak {percent(found.peak / self.full_scale)} of full scale"
             if found.clipped_share:
                 share = percent(found.clipped_share, 1) if found.clipped_share >= 0.001 else "< 0.1 %"
                 brightness, colour = f"{brightness}, {share} of the pixels clipped", theme.RED
@@ -247,12 +247,12 @@ class CameraPanel(Panel):
             parts.append(brightness)
         colour_text(self.caption, colour)
         has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the room
-        length = f"arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
+        length = f"Arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
         self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
 
     def use_tool(self, name: str) -> None:
         """Use a tool for the next drags; the one in use is put away."""
-        self.tool.setCurrentText("inspect" if self.tool.currentText() == name else name)
+        self.tool.setCurrentIndex(self.tool.findData("inspect" if self.tool.currentData() == name else name))
 
     def put_tool_away(self) -> None:
         """Let drags move the picture again, and remove what was measured."""
@@ -260,17 +260,18 @@ class CameraPanel(Panel):
         self._use_tool()
 
     def _use_tool(self) -> None:
-        self._view.is_drawing = bool(self.tool.currentData())
+        drag = _TOOLS[self.tool.currentData()]
+        self._view.is_drawing = bool(drag)
         self._drawn.draw(np.zeros((0, 2)))
-        self.measuring.use(self.tool.currentText())
+        self.measuring.use(self.tool.currentData())
         if self._view.is_drawing:
-            self.informed.emit(f"drag over the camera picture: {self.tool.currentData()}; Esc ends it")
+            self.informed.emit(f"drag over the camera picture: {drag}; Esc ends it")
             self._graphics.setCursor(Qt.CursorShape.CrossCursor)
         else:
             self._graphics.unsetCursor()
 
     def _draw_with_tool(self, start: QPointF, end: QPointF, is_finished: bool) -> None:
-        tool = self.tool.currentText()
+        tool = self.tool.currentData()
         if tool in {"line", "area"}:
             self.measuring.place(tool, start, end)
             return

@@ -56,7 +56,7 @@ class CoefficientsPanel(Panel):
         self._stack = QStackedWidget()
         self._stack.addWidget(self.plot)
         self._stack.addWidget(self.numbers)
-        self.map = ViewGrid((80, 50), empty="click a bar\nto map it over the field", is_captioned=False)
+        self.map = ViewGrid((80, 50), empty="Click a bar\nto map it over the field", is_captioned=False)
         header = row((self.plot.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
         theme.follow(self.plot, self._colour)

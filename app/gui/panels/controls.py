@@ -139,7 +139,7 @@ class ControlsPanel(Panel):
             self.requested.emit(name, round(self.frames.value()))
 
     def show_switching_off(self) -> None:
-        self.light.setText("Switching off \N{HORIZONTAL ELLIPSIS}")
+        self.light.setText("Switching off\N{HORIZONTAL ELLIPSIS}")
 
     def show_unreached_light(self) -> None:
         """Show that nothing is known of the light, and nothing can switch it."""

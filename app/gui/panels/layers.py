@@ -21,7 +21,7 @@ from reconstruction.arrays import Floats
 if TYPE_CHECKING:
     import xarray as xr
 
-_SEARCHING = "Searching \N{HORIZONTAL ELLIPSIS}"
+_SEARCHING = "Searching\N{HORIZONTAL ELLIPSIS}"
 _INTERVALS_S = {1: 5.0, 2: 20.0}  # between two searches, by the number of layers
 
 
@@ -60,7 +60,7 @@ class LayersPanel(Panel):
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._scale = AdaptiveScale()
-        modes = (("find one layer", 1), ("find two layers", 2))
+        modes = (("Find one layer", 1), ("Find two layers", 2))
         self.mode = Choice("Search for one or two layers every few seconds", modes, self._search_again)
         about = (
             "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"

@@ -78,7 +78,7 @@ class LensletPanel(Panel):
         self.lenslet = lenslet
         self.exclude.setEnabled(lenslet is not None)
         self._show_state("Click a lenslet in the camera image" if lenslet is None else "")
-        self._write("" if lenslet is None else "computing \N{HORIZONTAL ELLIPSIS}")
+        self._write("" if lenslet is None else "Computing\N{HORIZONTAL ELLIPSIS}")
         for tile in self.tiles.values():
             tile.show_maps(None)
 
@@ -145,11 +145,11 @@ def _numbers(found: LensletInspection) -> tuple[str, str]:
         for axis, value, sigma in zip("xy", found.displacement_px, found.sigma_px, strict=True)
     )
     parts = [
-        f"residual {percent(found.residual_rms, 1)} of the contrast",
+        f"Residual {percent(found.residual_rms, 1)} of the contrast",
         f"chi-square {number(found.chi_square)}",
         f"{percent(found.range_used)} of the range used",
     ]
-    return f"displacement {x}, {y} px", "    ".join(parts)
+    return f"Displacement {x}, {y} px", "    ".join(parts)
 
 
 def _describe(row: int, column: int, value: float) -> str:

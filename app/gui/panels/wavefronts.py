@@ -172,11 +172,12 @@ class WavefrontPanel(Panel):
         self.show_numbers()
 
     def show_numbers(self) -> None:
-        badge = self.shown.data_freshness.badge
+        badge, reason, _ = self.shown.data_freshness
         colour_text(self._summary, theme.AMBER if badge else theme.TEXT)
+        doubt = f"{badge}: {reason}" * bool(badge)  # last: only the end may be cut
         numbers, wavefront, quantity = self._numbers, self.shown.wavefront, self.quantity
         if numbers is None or wavefront is None or numbers.quantity is not quantity:
-            self._summary.setText(badge)
+            self._summary.setText(doubt)
             self.grid.set_captions({})
             self.shown.sigma_rad = None
             return
@@ -193,8 +194,8 @@ class WavefrontPanel(Panel):
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
         if numbers.noise_rad is not None:  # it cannot be told from a flat one
-            summary = f"mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
-        self._summary.setText("; ".join(filter(None, (badge, summary, self.menu.options.in_words, reach))))
+            summary = f"Mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
+        self._summary.setText("; ".join(filter(None, (summary, self.menu.options.in_words, reach, doubt))))
         if self._enlarged is not None:
             self._enlarged.refresh()
 

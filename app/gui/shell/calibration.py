@@ -96,7 +96,7 @@ class CalibrationGuide(QDialog):
 
             self._ask(linearity_found(found), "Use it", use, "Discard", self.close)
 
-        self._ask("Measuring \N{HORIZONTAL ELLIPSIS}", no="Cancel", refuse=self._controller.cancel)
+        self._ask("Measuring\N{HORIZONTAL ELLIPSIS}", no="Cancel", refuse=self._controller.cancel)
         self._controller.send(lambda to: to.measure_linearity(), propose, lambda error: self._end(str(error)))
 
     def ask_undo(self) -> None:
@@ -178,7 +178,7 @@ class CalibrationGuide(QDialog):
             text, note = request
             self._ask(text, "Done", lambda: self._controller.send(note, lambda _: self._next(), self._fail))
             return
-        self._mark(step, "running", "running \N{HORIZONTAL ELLIPSIS}")
+        self._mark(step, "running", "running\N{HORIZONTAL ELLIPSIS}")
         self._ask("", no="Cancel", refuse=self.reject)
         self._controller.send(lambda to: step.begin(to, self._frames), self._finish, self._fail)
 

@@ -167,9 +167,10 @@ class PanelDocks:
         left = max(window.width() - window.height() + _AROUND_PX, window.width() // 2)  # the wavefronts are a square
         window.resizeDocks([first, wavefronts], [left, window.width() - left], Qt.Orientation.Horizontal)
         window.resizeDocks([camera, controls], [max(left - _CONTROLS_PX, 1), _CONTROLS_PX], Qt.Orientation.Horizontal)
-        # With large texts the controls scroll, so that the tabs keep room for their plots.
+        # The camera has half of the height at least; with large texts the controls scroll, so that plots keep room.
         room = window.height() - _AROUND_PX
-        upper = min(controls.sizeHint().height() + 2 * window.fontMetrics().height(), round(_UPPER * room))
+        needed = controls.sizeHint().height() + 2 * window.fontMetrics().height()
+        upper = min(max(needed, room // 2), round(_UPPER * room))
         window.resizeDocks([camera, first], [upper, room - upper], Qt.Orientation.Vertical)
         self._arrange()
 

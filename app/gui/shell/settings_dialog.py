@@ -78,7 +78,7 @@ class SettingsDialog(QDialog):
         self.devices.show()
         for choice in self._choices.values():
             choice.clear()
-            choice.addItem("Searching \N{HORIZONTAL ELLIPSIS}")
+            choice.addItem("Searching\N{HORIZONTAL ELLIPSIS}")
             choice.setEnabled(False)
         self.apply.setText("Open")
         self.apply.setToolTip("Connect the devices with these settings")

@@ -117,7 +117,7 @@ class PreferencesDialog(QDialog):
         super().__init__(parent)
         self._saved = saved
         self.setWindowTitle("Preferences")
-        self.theme = Choice(items=(("as the desktop", "system"), ("dark", "dark"), ("light", "light")))
+        self.theme = Choice(items=(("As the desktop", "system"), ("Dark", "dark"), ("Light", "light")))
         self.size_choice = Choice(items=[(f"{percent} %", str(percent)) for percent in _SIZES])
         for choice, key in ((self.theme, _THEME), (self.size_choice, _SIZE)):
             choice.setCurrentIndex(choice.findData(_preference(saved, key)))

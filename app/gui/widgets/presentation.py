@@ -118,7 +118,7 @@ class Presentation:
     finest: float = 0.01  # lowest limit: a lower one would show noise in full colours
     shown_percent: float = 99.5  # of the values that lie within the limit
     names: tuple[str, str] = ("RMS", "PV")  # of the numbers of a view, see `ViewNumbers`
-    summary: Callable[[float, str], str] = lambda mean, unit: f"mean RMS {number(mean)} {unit}"  # of all maps
+    summary: Callable[[float, str], str] = lambda mean, unit: f"Mean RMS {number(mean)} {unit}"  # of all maps
     value: Callable[[float, str], str] = lambda value, unit: f"{signed(value)} {unit}"  # of one value
 
     @property

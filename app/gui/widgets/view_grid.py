@@ -23,7 +23,7 @@ _GAP_PX = 3  # between views
 _BAR_WIDTH_PX, _BAR_MARGIN_PX, _BAR_TICK_PX = 14, 10, 7  # colour bar, space left of it, space before its numbers
 LEAST_LINES = 5  # height of a grid that has a colour bar: its title and the numbers at both ends fit
 MARGIN_PX = 3  # around all views, for the selection frame
-_BETWEEN_PX = 4  # between the captions of neighbours
+_BETWEEN_PX = 14  # between the captions of neighbours
 _LEAST_PX = 40  # width of views with captions: of narrower ones only the tool tips have the numbers
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
 _HATCHING = QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)  # of unknown values
@@ -116,7 +116,7 @@ class ViewGrid(QWidget):
     def __init__(
         self,
         least: tuple[int, int] = (260, 160),
-        empty: str = "no wavefront",
+        empty: str = "No wavefront",
         parent: QWidget | None = None,
         *,
         widest: str = "",

@@ -58,7 +58,7 @@ def test_colours_reach_from_the_black_to_the_white_level(make_window: MakeWindow
     window = make_window()
     panel = window.panels.camera
     panel.show_bench(SENSOR, LATTICE, FULL_SCALE)
-    panel.contrast.setCurrentText("full range")
+    panel.contrast.setCurrentText("Full range")
     pixels = dim_frame()
     pixels[0, :3] = 0, FULL_SCALE // 2, FULL_SCALE
     window.show_measurement(make_measurement(pixels, views()))

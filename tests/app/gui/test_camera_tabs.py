@@ -60,9 +60,9 @@ def redness(window: MainWindow) -> int:
 @pytest.mark.parametrize(
     ("level", "text", "is_red"),
     [
-        (60000, "peak 92 % of full scale", False),
-        (63000, "peak 96 % of full scale: nearly saturated, shorten the exposure", False),
-        (65535, "peak 100 % of full scale, 0.9 % of the pixels clipped", True),
+        (60000, "Peak 92 % of full scale", False),
+        (63000, "Peak 96 % of full scale: nearly saturated, shorten the exposure", False),
+        (65535, "Peak 100 % of full scale, 0.9 % of the pixels clipped", True),
     ],
 )
 def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
@@ -82,7 +82,7 @@ def test_full_well_below_full_scale_is_red(window: MainWindow, qtbot: QtBot) -> 
     pixels = dim_frame()
     pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
     show_pixels(qtbot, window, pixels)
-    assert "peak 98 % of full scale, 0.9 % of the pixels clipped" in window.panels.camera.caption.text()
+    assert "Peak 98 % of full scale, 0.9 % of the pixels clipped" in window.panels.camera.caption.text()
     assert redness(window) > 300
 
 
@@ -122,12 +122,12 @@ def test_click_on_a_lenslet_opens_its_inspector(
     click_lenslet(window.panels.camera, 4, 7)
     qtbot.waitUntil(panel.isVisible)  # a double click would have shown the whole frame
     assert not window.panels.quality.isVisible()
-    assert panel.numbers.text() == "computing \N{HORIZONTAL ELLIPSIS}"
+    assert panel.numbers.text() == "Computing\N{HORIZONTAL ELLIPSIS}"
     go_on.set()
     qtbot.waitUntil(lambda: bool(panel.quality.text()))
     assert panel.name.text() == "Lenslet row 4, column 7: converged"
     assert panel.numbers.text().startswith(
-        "displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
+        "Displacement x +1.300 \N{PLUS-MINUS SIGN} 0.020, y \N{MINUS SIGN}0.800 \N{PLUS-MINUS SIGN} 0.030 px"
     )
     maps = {name: tile.maps for name, tile in panel.tiles.items()}
     for name in ("Reference", "Frame", "Warped back", "Residual"):
@@ -225,9 +225,9 @@ def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow, 
     assert levels.getRegion() == window.shown.levels == (1000, 5000)
     levels.lines[0].setValue(900.0)
     levels.lines[1].setValue(1100.0)  # as a drag does
-    assert camera.contrast.currentText() == "frozen contrast"
+    assert camera.contrast.currentText() == "Frozen contrast"
     assert window.shown.levels == (900, 1100)
     assert camera._image.colours(pixels)[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
-    camera.contrast.setCurrentText("full range")
+    camera.contrast.setCurrentText("Full range")
     window.update_text()
     assert levels.getRegion() == (0, 65535)

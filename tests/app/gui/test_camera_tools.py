@@ -74,7 +74,7 @@ def test_line_shows_length_and_profile_of_each_frame(window: MainWindow, qtbot: 
     panel = window.panels.camera
     window.show_measurement(make_measurement(dim_frame(), views()))
     press(qtbot, window, Qt.Key.Key_M)
-    assert panel.tool.currentText() == "line"
+    assert panel.tool.currentData() == "line"
     QApplication.processEvents()
     before = panel._view.viewRect()
     drag(panel, (100, 80), (300, 230))
@@ -95,7 +95,7 @@ def test_line_shows_length_and_profile_of_each_frame(window: MainWindow, qtbot: 
     np.testing.assert_allclose(counts, 10 * (100 + 0.8 * along_px) + 20 * (80 + 0.6 * along_px))
     assert panel.measuring.plot.isVisible()
     press(qtbot, window, Qt.Key.Key_Escape)
-    assert panel.tool.currentText() == "inspect"
+    assert panel.tool.currentData() == "inspect"
     assert not panel.measuring.isVisible()
     assert not panel.measuring.line.isVisible()
 

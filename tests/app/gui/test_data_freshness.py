@@ -52,7 +52,7 @@ def badges(window: MainWindow) -> tuple[str, str, str]:
         window.panels.wavefronts._summary,
         window.panels.lenslet.name,
     )
-    stale = "" if wavefront.text().startswith("mean RMS") else wavefront.text().partition("; mean RMS")[0]
+    stale = next((part for part in wavefront.text().split("; ") if ": " in part), "")
     return camera.text() if camera.isVisible() else "", stale, lenslet.text()
 
 

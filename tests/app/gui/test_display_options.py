@@ -222,7 +222,7 @@ def test_double_click_opens_the_enlarged_view(window: MainWindow, qtbot: QtBot) 
     panel.show_wavefront(bowl(5000.0))
     np.testing.assert_array_equal(enlarged.map.values, shown(window)[2, 0])
     panel.show_wavefront(None)
-    assert enlarged.text.text() == "no wavefront"
+    assert enlarged.text.text() == "No wavefront"
 
 
 def test_enlarged_view_paints_contours(window: MainWindow, qtbot: QtBot) -> None:
@@ -286,14 +286,14 @@ def test_rms_below_its_noise_is_no_number(make_window: MakeWindow, qtbot: QtBot)
         wavefront = modal(coefficients)
         panel.show_wavefront(wavefront)
         noise_rad = float(np.sqrt(np.mean(wavefront.sigma() ** 2)))
-        below = f"mean RMS below noise ({number(noise_rad)} rad)"
+        below = f"Mean RMS below noise ({number(noise_rad)} rad)"
 
         def is_judged(below: str = below, *, is_below: bool = is_below) -> bool:
             panel.show_numbers()
             return (panel._summary.text() == below) == is_below
 
         qtbot.waitUntil(is_judged)
-        assert panel._summary.text().startswith("mean RMS")
+        assert panel._summary.text().startswith("Mean RMS")
 
 
 def edit_limit(qtbot: QtBot, panel: WavefrontPanel) -> None:

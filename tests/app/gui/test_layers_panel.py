@@ -174,7 +174,7 @@ def test_displacements_alike_over_the_field_show_no_layer(make_window: MakeWindo
     before = panel.map.empty  # the search has not ended
     qtbot.waitUntil(lambda: not panel.sentence.text().startswith("Searching"))
     assert panel.sentence.text() == "No layer: the distance of a layer needs displacements that change over the field"
-    assert (before, panel.map.empty) == ("Searching \N{HORIZONTAL ELLIPSIS}", "no layer")
+    assert (before, panel.map.empty) == ("Searching\N{HORIZONTAL ELLIPSIS}", "no layer")
 
 
 def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -198,4 +198,4 @@ def test_closing_ends_a_search(window: MainWindow, qtbot: QtBot, monkeypatch: py
     qtbot.waitUntil(begun.is_set)
     window.close()
     assert not any(one.is_alive() for one in analysis.thread._threads)
-    assert panel.sentence.text() == "Searching \N{HORIZONTAL ELLIPSIS}"
+    assert panel.sentence.text() == "Searching\N{HORIZONTAL ELLIPSIS}"

@@ -34,7 +34,7 @@ def test_theme_changes_at_once_and_is_kept(qapp: QApplication, qtbot: QtBot, set
         theme.use_theme(qapp, "dark")
         apply_preferences(qapp, settings)  # the next start
         assert theme.TEXT.name() == "#1b2026"
-        assert PreferencesDialog(settings, parent).theme.currentText() == "light"
+        assert PreferencesDialog(settings, parent).theme.currentText() == "Light"
     finally:
         qapp.setProperty("theme", None)
 

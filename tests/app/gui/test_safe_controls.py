@@ -221,11 +221,11 @@ def test_stale_calibration_greys_the_wavefronts_and_says_why(live: tuple[MainWin
     assert "Good: 6 frames at" in controls.reference.toolTip()
     assert "exposure 20 ms" in controls.reference.toolTip()
     controls.exposure.setValue(30)
-    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and panel._summary.text().startswith("STALE"))
-    assert panel._summary.text().startswith("STALE: the dark was taken at 20.0 ms")
+    qtbot.waitUntil(lambda: camera.exposure_s == 0.03 and "STALE" in panel._summary.text())
+    assert "STALE: the dark was taken at 20.0 ms" in panel._summary.text()
     assert colourfulness() < 10  # a trace of the background
     assert lamp() != good  # another shape, whatever its colour
     assert "the reference was taken at 20.0 ms" in controls.reference.toolTip()
     controls.exposure.setValue(20)
-    qtbot.waitUntil(lambda: not panel._summary.text().startswith("STALE"))
+    qtbot.waitUntil(lambda: "STALE" not in panel._summary.text())
     assert colourfulness() > 50

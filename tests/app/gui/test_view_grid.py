@@ -92,7 +92,7 @@ def test_captions_ignore_lenslets_without_value(make_window: MakeWindow, qtbot: 
     captions = window.panels.wavefronts.grid.captions
     assert captions[0, 0][0][0] == "RMS \N{EN DASH} rad, PV \N{EN DASH}"
     assert {captions[at][0][0] for at in captions if at != (0, 0)} == {"RMS 1.00 rad, PV 2.00"}
-    assert window.panels.wavefronts._summary.text() == "mean RMS 1.00 rad"
+    assert window.panels.wavefronts._summary.text() == "Mean RMS 1.00 rad"
     picture(window.panels.wavefronts.grid)
 
 

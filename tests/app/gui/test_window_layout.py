@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QLineEdit, QWidget
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QAbstractSpinBox,
+    QApplication,
+    QComboBox,
+    QDialog,
+    QFileDialog,
+    QLineEdit,
+    QWidget,
+)
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, acquisition_of, click, dim_frame, picture, press, tabs, views
@@ -19,6 +28,9 @@ from app.gui.widgets import theme
 from app.gui.widgets.theme import styled_application
 from app.recording.reader import Recording
 from reconstruction.displacement import LensletStatus
+
+# They close, write or ask before others; the fake camera has one region.
+_UNTRIED = {"Quit", "Save a screenshot", "Start or stop recording", "Choose the sensor region\N{HORIZONTAL ELLIPSIS}"}
 
 
 def settle() -> None:
@@ -131,3 +143,43 @@ def test_every_control_has_a_name(make_window: MakeWindow) -> None:
     assert len(named) > 60
     unnamed = [f"{type(one).__name__}: {one.toolTip()} {one.parent()}" for one in named if not name_of(one)]
     assert unnamed == []
+
+
+@pytest.mark.slow
+def test_entries_that_open_dialogs_and_no_others_end_in_an_ellipsis(
+    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    window, _ = live
+    window.recording_bar.recordings_folder, opened = tmp_path, list[str]()
+
+    def note(*_: object) -> tuple[str, str]:
+        opened.append("file")
+        return "", ""
+
+    monkeypatch.setattr(QFileDialog, "getOpenFileName", note)
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", note)
+    monkeypatch.setattr(QFileDialog, "getExistingDirectory", lambda *_: note()[0])
+    qtbot.waitUntil(lambda: window.shown.wavefront is not None)
+
+    def dialogs() -> list[QDialog]:
+        return [one for one in window.findChildren(QDialog) if one.isVisible()]
+
+    opens = set[str]()
+    menus = [one for bar_entry in window.menu_bar.actions() if (one := bar_entry.menu()) is not None]
+    entries = [action for menu in (*menus, window.panels.wavefronts.menu) for action in menu.actions()]
+    entries = [action for action in entries if action.menu() is None and action.text() not in {"", *_UNTRIED}]
+    for action in entries:
+        action.trigger()
+        qtbot.waitUntil(lambda: bool(opened or dialogs() or window.controller.is_settled))  # some ask the instrument
+        settle()
+        if opened or dialogs():
+            opens.add(action.text())
+        opened.clear()
+        for _ in range(2):  # a sequence shows its dialog again when it ends
+            for dialog in dialogs():
+                dialog.close()
+            qtbot.waitUntil(lambda: window.controller.is_settled)
+            settle()
+    texts = [action.text() for action in entries]
+    assert len(texts) > 40
+    assert opens == {text for text in texts if text.endswith("\N{HORIZONTAL ELLIPSIS}")}

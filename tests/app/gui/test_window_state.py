@@ -47,7 +47,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.panels.wavefronts.choice.setCurrentText(Quantity.UNCERTAINTY)
     first.panels.camera.arrows_toggle.setChecked(False)
     first.panels.camera.colours.setChecked(True)
-    first.panels.camera.contrast.setCurrentText("full range")
+    first.panels.camera.contrast.setCurrentText("Full range")
     menu = first.panels.wavefronts.menu
     for action in (menu.removed[5], menu.units[2], menu.grids[4], menu.averages[2]):
         action.trigger()
@@ -63,7 +63,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     assert not second.panels.camera.arrows_toggle.isChecked()
     assert second.panels.camera.lattice_toggle.isChecked()
     assert second.panels.camera.colours.isChecked()
-    assert second.panels.camera.contrast.currentText() == "full range"
+    assert second.panels.camera.contrast.currentText() == "Full range"
     assert second.panels.wavefronts.menu.options == DisplayOptions(frozenset({5}), views=4, averaged=5)
     assert second.panels.wavefronts.menu.unit is Unit.NM
     assert second.panels.wavefronts.menu.units[2].isChecked()
@@ -87,7 +87,7 @@ def test_damaged_or_outdated_state_is_ignored(make_window: MakeWindow, settings:
 def test_window_without_a_bench_says_how_to_open_one(make_window: MakeWindow) -> None:
     window = make_window()
     assert window.messages.text.text() == "No bench is open: open one (Ctrl+O), or a preset in the menu Bench"
-    assert "arrows" not in window.panels.camera.caption.text()
+    assert "Arrows" not in window.panels.camera.caption.text()
     assert not window.recording_panel.record.isEnabled()
     assert not window.recording_panel.keep.isEnabled()
     assert not window.controls.start.isEnabled()
