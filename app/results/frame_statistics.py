@@ -1,20 +1,16 @@
-"""Counts of a frame: their statistics, a profile along a line, and those in a rectangle."""
+"""Statistics of the counts of a frame."""
 
-import math
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from reconstruction.arrays import Floats
 from reconstruction.frame.pixels import is_piled_up
-from reconstruction.geometry import Field, Sensor
 from reconstruction.runtime.compilation import compiled
 
 NEARLY_FULL = 0.95  # of the level at which pixels clip
-Selection = tuple[Literal["line", "area"], tuple[float, float], tuple[float, float]]  # ends or corners (x, y), px
 _BINS = 128  # of the histogram
 _STEP = 2e-3  # of the highest count: scatter of clipped pixels, by read noise
 _USUAL = 0.01, 0.998  # shares of the pixels, from the darkest on, that the usual counts lie between
@@ -73,71 +69,3 @@ def _clip_level(by_count: NDArray[np.intp], peak: int, full_scale: int) -> int:
     piled, below = by_count[lowest : peak + 1].sum(), by_count[max(2 * lowest - peak - 1, 0) : lowest].sum()
     is_full_well = is_piled_up(int(piled), int(below)) and _LEAST_SHARE < piled / by_count.sum() < _MOST_SHARE
     return lowest if is_full_well else full_scale
-
-
-def profile(
-    pixels: NDArray[np.integer[Any]], start_px: tuple[float, float], end_px: tuple[float, float]
-) -> tuple[Floats, Floats]:
-    """Return distances along a line between two points (x, y), at most 1 px apart, and the counts there.
-
-    Counts are interpolated linearly between the pixels (row, column); NaN outside them.
-    """
-    length_px = math.dist(start_px, end_px)
-    along = np.linspace(0, 1, math.ceil(length_px) + 1)
-    x, y = (first + along * (last - first) for first, last in zip(start_px, end_px, strict=True))
-    counts = map_coordinates(pixels, [y, x], output=np.float64, order=1, mode="constant", cval=np.nan)
-    return along * length_px, counts
-
-
-def lengths_of(length_px: float, sensor: Sensor, field: Field) -> tuple[float, float, float]:
-    """Return a length on the camera in m, as an angle within a subimage in rad, and at the source in m."""
-    length_m = length_px * sensor.pixel_pitch_m
-    angle_rad = length_m / sensor.lenslet_focal_length_m
-    return length_m, angle_rad, angle_rad * field.collimator_focal_length_m
-
-
-@dataclass(frozen=True, slots=True)
-class AreaStatistics:
-    """Statistics of the counts in a rectangle."""
-
-    rows: int
-    columns: int
-    mean: float
-    sigma: float
-    lowest: int
-    highest: int
-    clipped: int  # number of pixels
-
-
-MeasuredPart = tuple[Floats, Floats] | AreaStatistics | None  # a profile, an area, or neither
-
-
-def area_statistics(
-    pixels: NDArray[np.integer[Any]], x_px: tuple[float, float], y_px: tuple[float, float], clip_level: float = math.inf
-) -> AreaStatistics | None:
-    """Return the statistics of the pixels (row, column) in a rectangle; None if there are none.
-
-    A pixel on an edge lies in it, and is clipped from `clip_level` on.
-    """
-    first_row, first_column = (max(math.ceil(low), 0) for low, _ in (y_px, x_px))
-    inside = pixels[first_row : max(math.floor(y_px[1]) + 1, 0), first_column : max(math.floor(x_px[1]) + 1, 0)]
-    if not inside.size:
-        return None
-    rows, columns = inside.shape
-    clipped = int(np.count_nonzero(inside >= clip_level))
-    mean, sigma, lowest, highest = (float(f(inside)) for f in (np.mean, np.std, np.min, np.max))
-    return AreaStatistics(rows, columns, mean, sigma, int(lowest), int(highest), clipped)
-
-
-def frame_counts(
-    pixels: NDArray[np.integer[Any]], full_scale: int, selection: Selection | None
-) -> tuple[FrameStatistics, MeasuredPart]:
-    """Return the statistics of a frame, and the profile or the statistics of a selection."""
-    found = frame_statistics(pixels, full_scale)
-    if selection is None:
-        return found, None
-    kind, start_px, end_px = selection
-    if kind == "line":
-        return found, profile(pixels, start_px, end_px)
-    x_px, y_px = zip(start_px, end_px, strict=True)
-    return found, area_statistics(pixels, x_px, y_px, found.clip_level)

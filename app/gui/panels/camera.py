@@ -1,5 +1,6 @@
 """The camera panel: the newest frame below lattice, lost lenslets and mean displacements."""
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,7 +12,7 @@ from app.acquisition.instrument import Status
 from app.gui.panels.panel import DisplayState, Entries, MoreEntries, Panel, Request
 from app.gui.widgets import camera_image, theme
 from app.gui.widgets.buttons import Choice, checkable
-from app.gui.widgets.camera_image import CameraImage, DrawingView, Measuring, Picture, Segments
+from app.gui.widgets.camera_image import CameraImage, DrawingView, Picture, Segments
 from app.gui.widgets.copies import add_copy_menu, as_table
 from app.gui.widgets.layouts import column, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
@@ -19,7 +20,8 @@ from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
-from app.results.frame_statistics import FrameStatistics, MeasuredPart, frame_counts
+from app.results.frame_statistics import FrameStatistics, frame_statistics
+from app.results.pupil import Pupil
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.geometry import Lattice, Sensor
@@ -35,18 +37,16 @@ _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
     "+x: to the right; +y: down\n"
     "Wheel: zoom; drag: move; double click or 0: whole frame\n"
-    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements\n"
-    "M: measure along a line; Shift+M: in an area"
+    "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
 )
 _TOOLS = {  # what to drag over the picture
     "inspect": "",
-    "line": "a line, then its ends to change it",
-    "area": "a rectangle, then its corner to change it",
+    "pupil": "a circle from its middle to its edge: wavefronts are shown within",
     "exclude": "a rectangle around the lenslets to leave out",
     "use again": "a rectangle around the lenslets to use again",
 }
 _TOOL_TIP = (
-    "What a drag over the picture does: move it, measure along a line (M) or in an area (Shift+M),\n"
+    "What a drag over the picture does: move it, draw the pupil over which wavefronts are shown,\n"
     "exclude all lenslets in a rectangle, or use them again. Esc ends it; the middle button always moves."
 )
 _ARROW_REACH = 0.8  # pitches, for all but the longest few arrows
@@ -85,7 +85,7 @@ class CameraPanel(Panel):
         self._make_picture()
         self.caption = ElidedLabel("dim", lines=2, least=2)  # the picture must not move under a drag
         self.header = row_of(self.tool, self.contrast, (QWidget(), 1))
-        column((self._graphics, 1), self.measuring, self.caption, spacing=2, parent=self)
+        column((self._graphics, 1), self.caption, spacing=2, parent=self)
         self.badge, self._placeholder = label("", "badge", is_wrapped=True), label("No frame yet", "dim")
         self.badge.hide()
         over = column(self.badge, (self._placeholder, 1), parent=self._graphics)
@@ -106,8 +106,7 @@ class CameraPanel(Panel):
         self._arrows = Segments(self._view, theme.AMBER_ON_IMAGE, width=2, shadow=4)  # visible on black and on white
         self._inspected_box = Segments(self._view, theme.ACCENT_ON_IMAGE, width=2)
         self._pupil = Segments(self._view, theme.GREEN_ON_IMAGE, width=2)
-        self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # around lenslets to exclude
-        self.measuring = Measuring(self._view)
+        self._drawn = Segments(self._view, theme.AMBER_ON_IMAGE, width=2)  # while a tool is dragged
         self._view.drawn.connect(self._draw_with_tool)
         self._view.sigRangeChanged.connect(self._keep_in_sight)
         self._view.sigResized.connect(self._keep_in_sight)
@@ -122,8 +121,7 @@ class CameraPanel(Panel):
                 ("Lattice", "G", self.lattice_toggle),
                 ("Arrows", "A", self.arrows_toggle),
                 ("Whole camera image", "0", self.reset_zoom),
-                ("Measure along a line", "M", lambda: self.use_tool("line")),
-                ("Measure in an area", "Shift+M", lambda: self.use_tool("area")),
+                ("Draw a pupil", "", lambda: self.use_tool("pupil")),
                 ("Exclude lenslets in a rectangle", "", lambda: self.use_tool("exclude")),
                 ("Use lenslets in a rectangle again", "", lambda: self.use_tool("use again")),
                 None,
@@ -150,7 +148,6 @@ class CameraPanel(Panel):
 
     def show_status(self, status: Status) -> None:
         self.show_bench(status.bench.sensor, status.lattice, status.capabilities.full_scale)
-        self.measuring.show_bench(status.bench.sensor, status.bench.field)
 
     def show_bench(self, sensor: Sensor, lattice: Lattice | None, full_scale: int) -> None:
         if (sensor, lattice, full_scale) != (self._sensor, self._lattice, self.full_scale):
@@ -168,15 +165,14 @@ class CameraPanel(Panel):
         return any(panel.isVisible() for panel in (self, *self.counts_for))
 
     def request(self) -> Request | None:
-        measurement, choice = self.shown.measurement, (self.full_scale, self.measuring.selection)
+        measurement, full_scale = self.shown.measurement, self.full_scale
         if measurement is None:
             return None
-        return Request(measurement, choice, lambda _: frame_counts(measurement.frame.pixels, *choice))
+        return Request(measurement, full_scale, lambda _: frame_statistics(measurement.frame.pixels, full_scale))
 
-    def show_result(self, found: tuple[FrameStatistics, MeasuredPart]) -> None:
-        self.shown.statistics, measured = found
+    def show_result(self, found: FrameStatistics) -> None:
+        self.shown.statistics = found
         self._adapt_contrast()
-        self.measuring.show_measured(measured)
 
     def propose(self, survey: Survey | None) -> None:
         for item in (self._proposed_lines, self._proposed_boxes):
@@ -191,7 +187,6 @@ class CameraPanel(Panel):
         self._frame, self._displacement = frame, None if wavefront is None else wavefront.displacement
         self._draw()
         if is_new_shape:
-            self.measuring.shape = frame.pixels.shape
             self._placeholder.hide()
             self._view.setLimits(minXRange=_CLOSEST_PX, minYRange=_CLOSEST_PX)
             self.reset_zoom()
@@ -255,7 +250,7 @@ class CameraPanel(Panel):
         self.tool.setCurrentIndex(self.tool.findData("inspect" if self.tool.currentData() == name else name))
 
     def put_tool_away(self) -> None:
-        """Let drags move the picture again, and remove what was measured."""
+        """Let drags move the picture again."""
         self.tool.setCurrentIndex(0)
         self._use_tool()
 
@@ -263,7 +258,6 @@ class CameraPanel(Panel):
         drag = _TOOLS[self.tool.currentData()]
         self._view.is_drawing = bool(drag)
         self._drawn.draw(np.zeros((0, 2)))
-        self.measuring.use(self.tool.currentData())
         if self._view.is_drawing:
             self.informed.emit(f"drag over the camera picture: {drag}; Esc ends it")
             self._graphics.setCursor(Qt.CursorShape.CrossCursor)
@@ -272,8 +266,8 @@ class CameraPanel(Panel):
 
     def _draw_with_tool(self, start: QPointF, end: QPointF, is_finished: bool) -> None:
         tool = self.tool.currentData()
-        if tool in {"line", "area"}:
-            self.measuring.place(tool, start, end)
+        if tool == "pupil":
+            self._draw_pupil(start, end, is_finished)
             return
         self._drawn.draw(np.zeros((0, 2)) if is_finished else camera_image.rectangle(start, end))
         if is_finished:
@@ -284,6 +278,21 @@ class CameraPanel(Panel):
                 self.informed.emit(f"{tool}: {counted(len(lenslets), 'lenslet')}; the same with {undo} undoes it")
             else:
                 self.warned.emit("no centre of a lenslet lies in the rectangle")
+
+    def _draw_pupil(self, middle: QPointF, edge: QPointF, is_finished: bool) -> None:
+        """Draw a circle, and show wavefronts within it; the present pupil keeps its obscuration."""
+        lattice, sensor, before = self._lattice, self._sensor, self.shown.pupil
+        if lattice is None or sensor is None:
+            return
+        ends_px = np.array([(middle.x(), middle.y()), (edge.x(), edge.y())])
+        (x_m, y_m), end_m = lattice.from_camera_px(ends_px) * sensor.lenslet_pitch_m / lattice.pitch_px
+        radius_m = max(math.dist((x_m, y_m), end_m), 1e-9)
+        pupil = Pupil(float(x_m), float(y_m), radius_m, 0.0 if before is None else before.obscuration)
+        self._drawn.draw(np.zeros((0, 2)) if is_finished else camera_image.pupil_edges(lattice, sensor, pupil))
+        if is_finished and pupil.contains(sensor).any():
+            self.shown.pupil_drawn.emit(pupil)
+        elif is_finished:
+            self.warned.emit("no centre of a lenslet lies in the circle")
 
     def _lenslets_between(self, start: QPointF, end: QPointF) -> list[Lenslet]:
         if self._lattice is None or self._sensor is None:

@@ -46,6 +46,7 @@ class DisplayState(QObject):
     """State shared by the panels: newest measurement, chosen view and unit, and whether they are live."""
 
     view_chosen = pyqtSignal()
+    pupil_drawn = pyqtSignal(object)  # over which wavefronts are to be shown
     exclusion_requested = pyqtSignal(object, object)  # of lenslets (row, column): whether, or None to change each
 
     def __init__(self, parent: QObject | None = None) -> None:

@@ -76,6 +76,7 @@ class WavefrontPanel(Panel):
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
         self.menu.store.triggered.connect(self._store)
+        shown.pupil_drawn.connect(lambda pupil: self.menu.change(pupil=pupil))
         self.menu.fit_pupil.triggered.connect(self._fit_pupil)
         self.menu.file.triggered.connect(self._choose_file)
         self.menu.enlarge.triggered.connect(self.enlarge)

@@ -1,4 +1,4 @@
-"""The camera picture, in camera pixels: frame, segments over it, and tools that draw and measure.
+"""The camera picture, in camera pixels: frame, segments over it, and drags that draw.
 
 pyqtgraph's own image item converts a frame twice, Qt's part in threads that wait for a core.
 """
@@ -14,18 +14,14 @@ from numpy.typing import NDArray
 from PyQt6 import sip
 from PyQt6.QtCore import QEvent, QLineF, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QImage, QPainter
-from PyQt6.QtWidgets import QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.layouts import column
-from app.gui.widgets.plot import Canvas, Plot
-from app.gui.widgets.presentation import count_colours, number
-from app.gui.widgets.texts import ElidedLabel
-from app.results.frame_statistics import AreaStatistics, MeasuredPart, Selection, lengths_of
+from app.gui.widgets.plot import Canvas
+from app.gui.widgets.presentation import count_colours
 from app.results.pictures import Pixels
 from app.results.pupil import Pupil
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, lenslet_centers
+from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.runtime.opencv import cv2
 
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of four borders
@@ -33,7 +29,6 @@ _INSET = 0.88  # size of a lost lenslet's box over that of its cell
 _USUAL = 0.98  # share of the arrows that are not the longest few
 _HEAD = 0.35  # length of an arrow's head, in arrow lengths
 _BARBS = np.array([[[-0.9, 0.45], [-0.45, -0.9]], [[-0.9, -0.45], [0.45, -0.9]]])  # turn and shorten the shaft
-_MICRO = "\N{MICRO SIGN}m"
 _sip: Any = sip  # its types are declared incompletely
 
 Counts = NDArray[np.uint16]
@@ -209,113 +204,3 @@ def rectangle(start: QPointF, end: QPointF) -> Floats:
     (left, right), (top, bottom) = (start.x(), end.x()), (start.y(), end.y())
     corners = np.array([(left, top), (right, top), (right, bottom), (left, bottom)])
     return corners[_AROUND]
-
-
-class Measuring(QWidget):
-    """A line or an area over the picture, movable by handles, and below it what it measures."""
-
-    def __init__(self, view: pg.ViewBox) -> None:
-        super().__init__()
-        pen, hovered = (pg.mkPen(colour, width=2) for colour in (theme.GREEN_ON_IMAGE, theme.AMBER_ON_IMAGE))
-        look = {"pen": pen, "hoverPen": hovered, "handlePen": pen}
-        self.line = pg.LineSegmentROI([(0, 0), (1, 0)], **look)
-        self.area = pg.RectROI((0, 0), (1, 1), **look)
-        for item in (self.line, self.area):
-            item.setZValue(2)
-            item.hide()
-            item.sigRegionChanged.connect(self._show_length)
-            view.addItem(item, ignoreBounds=True)
-            for handle in item.getHandles():
-                handle.setDeletable(False)
-                handle.menu.deleteLater()  # to delete it: no parent would
-                handle.menu = None
-        self.shape = (0, 0)  # rows and columns of the frame
-        self._sensor: Sensor | None = None
-        self._field: Field | None = None
-        self.reading = ElidedLabel()
-        self.plot = Plot("", "position along the line (px)", widest="65000")
-        self.plot.title.hide()
-        self.plot.graphics.setFixedHeight(7 * self.fontMetrics().height())
-        self.curve = self.plot.add_curve(theme.GREEN, 1)
-        column(self.reading, self.plot, spacing=2, parent=self)
-        self.hide()
-
-    def place(self, kind: str, start: QPointF, end: QPointF) -> None:
-        """Measure along a "line" between two points, or in an "area" of which they are corners.
-
-        Points farther from the frame than its width and height are moved there: a line has no end otherwise.
-        """
-        start, end = self._near(start), self._near(end)
-        (left, right), (top, bottom) = sorted((start.x(), end.x())), sorted((start.y(), end.y()))
-        if kind == "line":
-            ends = [(point.x(), point.y()) for point in (start, end)]
-            self.line.setState({"pos": (0, 0), "size": (1, 1), "angle": 0, "points": ends})
-        else:
-            self.area.setPos((left, top), finish=False)
-            self.area.setSize((right - left, bottom - top))
-        self.line.setVisible(kind == "line")
-        self.area.setVisible(kind == "area")
-        self._show_length()
-
-    @property
-    def selection(self) -> Selection | None:
-        """Return what is to be measured; None while there is neither line nor area."""
-        if self.line.isVisible():
-            start, end = ((point.x(), point.y()) for point in map(self.line.mapToParent, self.line.listPoints()))
-            return "line", start, end
-        if self.area.isVisible():
-            place, size = self.area.pos(), self.area.size()
-            return "area", (place.x(), place.y()), (place.x() + size.x(), place.y() + size.y())
-        return None
-
-    def _near(self, point: QPointF) -> QPointF:
-        rows, columns = self.shape
-        return QPointF(min(max(point.x(), -columns), 2 * columns), min(max(point.y(), -rows), 2 * rows))
-
-    def use(self, kind: str) -> None:
-        """Remove line and area, and make room for the numbers of the next "line" or "area"."""
-        for item in (self.line, self.area):
-            item.hide()
-        self.curve.setData([], [])
-        self.reading.setText("")
-        self.plot.setVisible(kind == "line")
-        self.setVisible(kind in {"line", "area"})
-
-    def show_bench(self, sensor: Sensor, field: Field) -> None:
-        """Use these for lengths in metres."""
-        self._sensor, self._field = sensor, field
-        self._show_length()
-
-    def show_measured(self, found: MeasuredPart) -> None:
-        """Show what was measured of the selection; None without selection, or pixels in it."""
-        if isinstance(found, tuple):
-            along_px, counts = found
-            known = counts[np.isfinite(counts)]
-            low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
-            self.plot.set_ranges((0, max(float(along_px[-1]), 1.0)), (low, max(high, low + 1)))
-            self.curve.setData(along_px, counts, connect="finite")
-        elif self.area.isVisible():
-            self.reading.setText("no pixel lies in the area" if found is None else self._in_words(found))
-
-    def _show_length(self) -> None:
-        selection, sensor, field = self.selection, self._sensor, self._field
-        if selection is None or selection[0] != "line":
-            return
-        length_px = math.dist(*selection[1:])
-        if sensor is None or field is None:
-            self.reading.setText(f"{length_px:.1f} px")
-            return
-        length_m, angle_rad, source_m = lengths_of(length_px, sensor, field)
-        self.reading.setText(
-            f"{length_px:.1f} px = {number(length_m * 1e6, 4)} {_MICRO} on the sensor; within a subimage"
-            f" {number(angle_rad * 1e3)} mrad, {number(source_m * 1e3)} mm of the source"
-        )
-
-    def _in_words(self, found: AreaStatistics) -> str:
-        pitch_um = math.nan if self._sensor is None else self._sensor.pixel_pitch_m * 1e6
-        size_um = f" = {number(found.columns * pitch_um, 4)} x {number(found.rows * pitch_um, 4)} {_MICRO}"
-        return (
-            f"{found.columns} x {found.rows} px{size_um * (self._sensor is not None)}: mean {number(found.mean, 5)},"
-            f" \N{GREEK SMALL LETTER SIGMA} {number(found.sigma, 4)}, {found.lowest} ... {found.highest} counts,"
-            f" {found.clipped} saturated"
-        )

@@ -86,7 +86,7 @@ def test_hidden_panels_compute_nothing(window: MainWindow, monkeypatch: pytest.M
         (quality, "mtf"),
         (quality, "isoplanatism"),
         (coefficients, "mode_coefficients"),
-        (camera, "frame_counts"),
+        (camera, "frame_statistics"),
         (camera_image, "arrows"),
         (camera_image, "count_colours"),
         (wavefronts, "view_numbers"),
@@ -105,7 +105,8 @@ def test_hidden_panels_compute_nothing(window: MainWindow, monkeypatch: pytest.M
         panel.front_requested.emit()
     settle(window)
     assert all(
-        calls.made[name] for name in ("mtf", "isoplanatism", "frame_counts", "arrows", "count_colours", "quantity_maps")
+        calls.made[name]
+        for name in ("mtf", "isoplanatism", "frame_statistics", "arrows", "count_colours", "quantity_maps")
     )
     assert not calls.made["mode_coefficients"]  # behind another tab
 
@@ -129,7 +130,7 @@ def test_same_data_is_computed_and_painted_once(
 ) -> None:
     calls = Calls(monkeypatch)
     calls.count(quality, "isoplanatism")
-    calls.count(camera, "frame_counts")
+    calls.count(camera, "frame_statistics")
     for _ in range(3):
         window.refresh()
         settle(window)
