@@ -2,11 +2,9 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 
-from app.files import write_csv
 from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats
 from reconstruction.wavefront import Wavefront, rms
@@ -85,14 +83,13 @@ class History:
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         return self._time_s[at] - self._time_s[at[-1]], self._series[name][at]
 
-    def write_csv(self, path: Path) -> None:
-        """Write all series as CSV: seconds since the first sample, phases in rad, gaps empty."""
+    def table(self) -> tuple[list[str], Floats]:
+        """Return heads and rows of all series: seconds since the first sample, phases in rad, NaN in gaps."""
         at = np.arange(max(self._count - self._capacity, 0), self._count) % self._capacity
         time_s = self._time_s[at] - self._time_s[at[:1]]
         columns = [time_s, *(series[at] for series in self._series.values())]
         names = ["time (s)", *(f"{name} ({UNITS.get(name, 'rad')})" for name in self._series)]
-        lines = ([f"{value:.7g}" if np.isfinite(value) else "" for value in line] for line in np.c_[*columns])
-        write_csv(path, names, lines)
+        return names, np.c_[*columns]
 
     def forget(self, name: str) -> None:
         """Drop a series."""

@@ -2,18 +2,19 @@
 
 import math
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QPoint, QPointF, Qt, pyqtSignal
-from PyQt6.QtWidgets import QApplication, QMenu, QWidget
+from PyQt6.QtCore import QPointF, Qt, pyqtSignal
+from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import DisplayState, Entries, MoreEntries, Panel, Request
 from app.gui.widgets import camera_image, theme
 from app.gui.widgets.buttons import Choice, checkable
 from app.gui.widgets.camera_image import CameraImage, DrawingView, Picture, Segments
-from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.copies import as_table
 from app.gui.widgets.layouts import column, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
@@ -113,7 +114,6 @@ class CameraPanel(Panel):
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
         self._click_timer = timer(self, 0, lambda: self.inspect(self._clicked_at), is_single=True)
-        add_copy_menu(self._graphics, self._displacements, self._fill_menu)
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -129,7 +129,22 @@ class CameraPanel(Panel):
         }
 
     def more_entries(self) -> MoreEntries:
-        return self.lattice_toggle, self.arrows_toggle, self.colours
+        """Return entries also for the lenslet under the pointer, after a right click."""
+        shown = self.lattice_toggle, self.arrows_toggle, self.colours
+        if self._pointer is None or (lenslet := self._lenslet_at(self._pointer)) is None:
+            return shown
+        name = "lenslet row {}, column {}".format(*lenslet)
+        exclude = partial(self.shown.exclusion_requested.emit, [lenslet], None)
+        inspect = partial(self.inspect, lenslet)
+        return (f"Inspect {name}", inspect), (f"Exclude {name}, or use it again", exclude), *shown
+
+    def table(self) -> str:
+        """Return the displacement of each lenslet."""
+        if self._displacement is None:
+            return ""
+        mean_px = self._displacement.mean
+        rows = (np.array([*at, *mean_px[at]]) for at in np.ndindex(mean_px.shape[:2]))
+        return as_table(("row", "column", "x (px)", "y (px)"), rows)
 
     def catch_up(self) -> None:
         super().catch_up()
@@ -308,19 +323,11 @@ class CameraPanel(Panel):
         if event.double():
             self.reset_zoom()
         elif event.button() == Qt.MouseButton.LeftButton and not self._view.is_drawing:
-            self._clicked_at = self._lenslet_at(event.scenePos())
+            self._clicked_at = self._lenslet_at(self._view.mapSceneToView(event.scenePos()))
             self._click_timer.start(QApplication.doubleClickInterval())  # it may be the first of two
 
-    def _fill_menu(self, menu: QMenu, at: QPoint) -> None:
-        if (lenslet := self._lenslet_at(self._graphics.mapToScene(at))) is None:
-            return
-        name = "lenslet row {}, column {}".format(*lenslet)
-        menu.addAction(f"Inspect {name}", lambda: self.inspect(lenslet))
-        menu.addAction(f"Exclude {name}, or use it again", lambda: self.shown.exclusion_requested.emit([lenslet], None))
-        menu.addSeparator()
-
-    def _lenslet_at(self, position: QPointF) -> Lenslet | None:
-        at, sensor = self._view.mapSceneToView(position), self._sensor
+    def _lenslet_at(self, at: QPointF) -> Lenslet | None:
+        sensor = self._sensor
         if sensor is None or self._lattice is None:
             return None
         return camera_image.lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
@@ -330,13 +337,6 @@ class CameraPanel(Panel):
         self._show_overlay()
         if lenslet is not None:
             self.lenslet_clicked.emit(*lenslet)
-
-    def _displacements(self, _: QPoint) -> str:
-        if self._displacement is None:
-            return ""
-        mean_px = self._displacement.mean
-        rows = (np.array([*at, *mean_px[at]]) for at in np.ndindex(mean_px.shape[:2]))
-        return as_table(("row", "column", "x (px)", "y (px)"), rows)
 
     def _show_overlay(self) -> None:
         if not self.isVisible():

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTab
 from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice, Toggle
-from app.gui.widgets.copies import add_copy_menu, copy_text
+from app.gui.widgets.copies import copy_text
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import AdaptiveScale, diverging, signed, with_error
@@ -46,7 +46,6 @@ class CoefficientsPanel(Panel):
         self.table_toggle = Toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
         self.plot.setToolTip("Click a bar to record its history and to map it over the field; click it again to stop")
-        self.plot.table = self.table
         self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, pen=None)
         self.plot.view.addItem(self._bars)
         self._errors = pg.PlotCurveItem(connect="pairs")
@@ -180,7 +179,6 @@ class _Table(QTableWidget):
 
     def __init__(self) -> None:
         super().__init__(0, 3)
-        add_copy_menu(self, lambda _: self.text)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         if (header := self.verticalHeader()) is not None:
             header.hide()

@@ -2,18 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from copy import deepcopy
 from functools import partial
 
 import numpy as np
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QApplication, QInputDialog, QMenu, QWidget
 
-from app.gui.panels.panel import Check, DisplayState, MoreEntries, Panel, Request, Verdict
+from app.gui.panels.panel import Check, DisplayState, Panel, Request, Verdict
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button, Choice, checkable
-from app.gui.widgets.copies import ask_file
-from app.gui.widgets.file_work import FileWork
+from app.gui.widgets.copies import as_table
 from app.gui.widgets.layouts import Scrolled, column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import NOTHING, number
@@ -85,7 +83,6 @@ class HistoryPanel(Panel):
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self.history, self._watch = History(), LimitWatch()
-        self._files = FileWork(self, self.warned.emit)
         self._newest: tuple[float, dict[str, float]] | None = None  # time and values of the newest sample
         self._pinned = ""  # name of a coefficient
         self._make_choices()
@@ -129,15 +126,9 @@ class HistoryPanel(Panel):
         header = row(self.series, self.limits, (QWidget(), 1), self.minutes)
         column(header, (area, 1), self.time_axis, spacing=2, parent=self)
 
-    def more_entries(self) -> MoreEntries:
-        return (("Save all series as CSV", self.export_csv),)
-
-    def export_csv(self) -> None:
-        path = ask_file(self, "Export the history", self.shown.proposed("history.csv"), "Table (*.csv)")
-        if path is not None:
-            history = deepcopy(self.history)  # it goes on meanwhile
-            tell = partial(self.informed.emit, f"saved {path}")
-            self._files.run(partial(history.write_csv, path), lambda _: tell(), writes=str(path))
+    def table(self) -> str:
+        """Return all series, charted or not."""
+        return as_table(*self.history.table())
 
     def forget_bench(self) -> None:
         self.history, self._watch = History(), LimitWatch()

@@ -7,9 +7,9 @@ from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from PyQt6.QtCore import QObject, QSettings, Qt, QUrl
+from PyQt6.QtCore import QObject, QSettings, QTimer, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QDialog, QFileDialog, QHBoxLayout, QWidget
+from PyQt6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
 from app.bench.bench_files import faulty_lines
 from app.bench.config import Bench, load_bench, save_bench
@@ -24,8 +24,6 @@ from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.file_work import FileWork, answer
-from app.gui.widgets.layouts import fill_dialog
-from app.gui.widgets.texts import label
 
 _LAST = "last/bench"  # key of the saved state
 
@@ -193,35 +191,23 @@ def _trust_libraries(bench: Bench) -> tuple[Library, ...]:
     return ()
 
 
-class BenchDialog(QDialog):
+class BenchDialog(QMessageBox):
     """Shows one message with buttons that close it; the measurement continues beside it."""
-
-    def __init__(self, parent: QWidget) -> None:
-        super().__init__(parent)
-        self.text = label("", is_wrapped=True)
-        self.text.setTextFormat(Qt.TextFormat.RichText)
-        self.text.setMinimumWidth(560)  # px
-        self.text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self._buttons = QHBoxLayout()
-        self._buttons.addStretch()
-        fill_dialog(self, self.text, self._buttons)
 
     def show_message(self, title: str, html: str, choices: Choices) -> None:
         """Show a message; each button closes the dialog before it acts."""
+        for button in self.buttons():
+            self.removeButton(button)
+            button.deleteLater()
         self.setWindowTitle(title)
-        self.text.setText(html)
-        while (item := self._buttons.takeAt(1)) is not None:
-            if (old := item.widget()) is not None:
-                old.deleteLater()
+        self.setText(html)
         for text, tool_tip, act in (*choices, ("Close", "Change nothing (Esc)", lambda: None)):
-            self._buttons.addWidget(Button(text, tool_tip, lambda _=False, act=act: self._choose(act)))
-        self.adjustSize()
+            button = Button(text, tool_tip, lambda _=False, act=act: QTimer.singleShot(0, act))
+            self.addButton(button, QMessageBox.ButtonRole.ActionRole)
+        self.setEscapeButton(button)
+        self.setModal(False)
         self.show()
         self.activateWindow()
-
-    def _choose(self, act: Callable[[], object]) -> None:
-        self.close()
-        act()
 
 
 def _fault_html(sentence: str, lines: tuple[tuple[int, str], ...], faulty: int | None) -> str:

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QDialog, QGridLayout, QMessageBox, QWidget
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
 from app.gui.shell.controller import Controller, SettingsControl
-from app.gui.shell.status_text import exposure_found, lattice_found, linearity_found
+from app.gui.shell.status_text import exposure_found, lattice_found
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen
@@ -20,7 +20,6 @@ from app.gui.widgets.texts import label
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
-from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
@@ -60,9 +59,7 @@ class CalibrationGuide(QDialog):
         self.question = label("", is_wrapped=True)
         self.yes = Button("Yes", "Return", lambda _: self._answers[True]())
         self.no = Button("No", "Esc", lambda _: self._answers[False]())
-        about = "Measure the camera's nonlinearity without the sample, in some minutes"
-        self.linearity = Button("5 Nonlinearity", about, self.measure_linearity)
-        answers = row((self.question, 1), self.linearity, self.yes, self.no)
+        answers = row((self.question, 1), self.yes, self.no)
         self.steps = Scrolled(steps)
         fill_dialog(self, (self.steps, 1), answers)
         controller.connected.connect(self._restart)
@@ -85,19 +82,6 @@ class CalibrationGuide(QDialog):
             (self._messages.inform if check.is_good else self._messages.warn)(check.verdict)
 
         self._controller.send(lambda to: to.check_background(), show)
-
-    def measure_linearity(self) -> None:
-        """Measure the camera's nonlinearity without the sample, and ask whether to correct it."""
-
-        def propose(found: MeasuredLinearity) -> None:
-            def use() -> None:
-                self._use("linearity", found.linearity, "frames are corrected")
-                self._end("Frames are corrected.")
-
-            self._ask(linearity_found(found), "Use it", use, "Discard", self.close)
-
-        self._ask("Measuring\N{HORIZONTAL ELLIPSIS}", no="Cancel", refuse=self._controller.cancel)
-        self._controller.send(lambda to: to.measure_linearity(), propose, lambda error: self._end(str(error)))
 
     def ask_undo(self) -> None:
         """Ask whether to take the last dark, reference or change of the bench back, with a picture of what returns."""
@@ -122,10 +106,8 @@ class CalibrationGuide(QDialog):
         self._controller.send(lambda to: to.undoable(), ask)
 
     def use_lattice(self, lattice: Lattice) -> None:
-        self._use("lattice", lattice, "the lattice is in use")
-
-    def _use(self, name: str, value: object, done: str) -> None:
-        self._settings.change((name, value), then=lambda _: self._messages.inform(f"{done}; Ctrl+S saves it"))
+        inform = partial(self._messages.inform, "the lattice is in use; Ctrl+S saves it")
+        self._settings.change(("lattice", lattice), then=lambda _: inform())
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; only show steps under way."""
@@ -238,7 +220,6 @@ class CalibrationGuide(QDialog):
         self.yes.setText(yes)
         self.yes.setVisible(bool(yes))
         self.no.setText(no)
-        self.linearity.setVisible(no == "Close")
         if yes:
             self.yes.setFocus()
 

@@ -4,6 +4,7 @@ from functools import partial
 from typing import NamedTuple, get_type_hints
 
 from PyQt6.QtCore import QByteArray, QSize, Qt
+from PyQt6.QtGui import QContextMenuEvent
 from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.camera import CameraPanel
@@ -18,7 +19,7 @@ from app.gui.panels.quality import QualityPanel
 from app.gui.panels.wavefronts import WavefrontPanel
 from app.gui.shell.menus import listing_menu
 from app.gui.widgets.buttons import Button
-from app.gui.widgets.copies import copy_picture, save_numbers
+from app.gui.widgets.copies import copy_picture, copy_text, save_numbers
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.texts import label
 from app.gui.widgets.timers import timer
@@ -88,10 +89,16 @@ class Dock(QDockWidget):
         return (
             *self.panel.more_entries(),
             ("Save the numbers as CSV…", self._save_numbers),
+            ("Copy the numbers", lambda: copy_text(self.panel.table())),
             ("Copy the picture", partial(copy_picture, self.panel)),
             ("Float as a window, or dock again", lambda: self.setFloating(not self.isFloating())),
             ("Close (View > Panels opens it)", self.close),
         )
+
+    def contextMenuEvent(self, event: QContextMenuEvent | None) -> None:  # noqa: N802 - Qt's name
+        """Open the menu of the panel by a right click."""
+        if event is not None and (menu := self.more.menu()) is not None:
+            menu.popup(event.globalPos())
 
     def _save_numbers(self) -> None:
         save_numbers(self.panel, self.panel.table(), self.panel.shown.proposed(f"{self.panel.title.lower()}.csv"))

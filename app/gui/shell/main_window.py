@@ -6,14 +6,13 @@ import traceback
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import datetime
 from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, QStandardPaths, Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QDropEvent, QRegion, QResizeEvent
 from PyQt6.QtWidgets import QApplication, QFileDialog, QFrame, QMainWindow, QMenuBar, QWidget
 
@@ -44,7 +43,6 @@ from app.gui.shell.status_line import StatusLine
 from app.gui.shell.status_text import AlarmTracker, advice, data_freshness, left_behind, light_when_closing, way_out
 from app.gui.shell.verdict import VerdictButton
 from app.gui.widgets import theme
-from app.gui.widgets.copies import write_picture
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.file_work import FileWork, answer
 from app.gui.widgets.layouts import column, row
@@ -93,7 +91,6 @@ class MainWindow(QMainWindow):
         self._known_errors: set[str] = set()  # that were shown since the alarm was dismissed, or a bench was opened
         self.messages = MessageStrip()
         self.messages.dismissed.connect(self._known_errors.clear)
-        self._screenshots = FileWork(self, self.messages.warn)
         self.setAcceptDrops(True)
 
         self.shown = DisplayState(self)
@@ -187,7 +184,6 @@ class MainWindow(QMainWindow):
                 None,
                 ("Open a frame…", "", self._choose_frame),
                 *self._entries_of_panels("&File"),
-                ("Save a screenshot", "Ctrl+P", self.save_screenshot),
                 None,
                 ("Quit", "Ctrl+Q", self.quit),
             ),
@@ -495,12 +491,6 @@ class MainWindow(QMainWindow):
         timings.note("draw", took_s)
         timings.note("to_screen", end_s - measurement.exposure_end_s)
         return is_handled
-
-    def save_screenshot(self) -> None:
-        folder = Path(QStandardPaths.writableLocation(QStandardPaths.StandardLocation.PicturesLocation) or ".")
-        path = folder / f"svwfs-{datetime.now().astimezone():%Y%m%d-%H%M%S}.png"
-        write = partial(write_picture, path, self.grab().toImage())
-        self._screenshots.run(write, lambda _: self.messages.inform(f"saved {path}"), writes=str(path))
 
     @contextmanager
     def reported_errors(self) -> Iterator[None]:

@@ -14,7 +14,6 @@ from app.progress import counted
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
 from app.results.run_summary import ROTATES
-from reconstruction.frame.linearity_fit import MeasuredLinearity
 from reconstruction.lattice.search import Survey
 from reconstruction.quality.verdict import NO_FAULT, Quality
 from reconstruction.wavefront import Wavefront
@@ -155,12 +154,6 @@ def lattice_found(survey: Survey) -> str:
         f" centre {lattice.center_x_px:.2f}, {lattice.center_y_px:.2f} px;"
         f" {lit.sum()} of {lit.size} illuminated; fit error {survey.residual_px:.3f} px RMS"
     )
-
-
-def linearity_found(found: MeasuredLinearity) -> str:
-    """Describe a proposed nonlinearity."""
-    drift = f"the light drifted by {100 * found.drift:+.1f} % meanwhile"
-    return f"found: {found.linearity.sentence}, +- {100 * found.sigma:.2f} %; {drift}"
 
 
 def exposure_found(found: AutoExposure) -> str:

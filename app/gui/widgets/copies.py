@@ -1,43 +1,18 @@
-"""Copies of what is shown: a context menu for the clipboard, and picture files."""
+"""Copies of what is shown: pictures and numbers in the clipboard, and in files."""
 
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import QBuffer, QPoint, Qt
+from PyQt6.QtCore import QBuffer
 from PyQt6.QtGui import QGuiApplication, QImage, QPixmap
-from PyQt6.QtWidgets import QFileDialog, QMenu, QMessageBox, QWidget
+from PyQt6.QtWidgets import QFileDialog, QMessageBox, QWidget
 
 from app.errors import RunError
 from app.files import write_csv, write_whole
 from app.gui.widgets.file_work import FileWork, answer
 from reconstruction.arrays import Floats
-
-
-def add_copy_menu(
-    widget: QWidget,
-    numbers: Callable[[QPoint], str],
-    fill: Callable[[QMenu, QPoint], object] = lambda *_: None,
-    table: Callable[[], str] | None = None,
-) -> None:
-    """Open a menu at a right click: `numbers` returns a text for a position, `fill` adds entries.
-
-    All numbers are a `table`, if they are others.
-    """
-
-    def show(at: QPoint) -> None:
-        menu = QMenu(widget)
-        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        fill(menu, at)
-        menu.addAction("Copy picture", partial(copy_picture, widget))
-        if text := numbers(at):
-            menu.addAction("Copy numbers", partial(copy_text, text))
-            menu.addAction("Save numbers as CSV…", partial(save_numbers, widget, text if table is None else table()))
-        menu.popup(widget.mapToGlobal(at))
-
-    widget.setContextMenuPolicy(Qt.ContextMenuPolicy.CustomContextMenu)
-    widget.customContextMenuRequested.connect(show)
 
 
 def as_table(heads: Iterable[str], rows: Iterable[Floats]) -> str:
@@ -46,7 +21,7 @@ def as_table(heads: Iterable[str], rows: Iterable[Floats]) -> str:
     return "\n".join(filter(None, ["\t".join(heads), *lines]))
 
 
-def save_numbers(parent: QWidget, table: str, proposed: str = "numbers.csv") -> None:
+def save_numbers(parent: QWidget, table: str, proposed: str) -> None:
     """Ask for a file and write lines of tab-separated numbers into it, as CSV."""
     path = ask_file(parent, "Save the numbers", proposed, "Table (*.csv)")
     if path is not None:

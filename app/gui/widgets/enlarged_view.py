@@ -6,7 +6,8 @@ from PyQt6.QtGui import QColor, QMouseEvent, QPainter, QPaintEvent, QPen, QPolyg
 from PyQt6.QtWidgets import QDialog, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.buttons import Toggle
+from app.gui.widgets.buttons import Button
+from app.gui.widgets.copies import copy_picture
 from app.gui.widgets.layouts import column, fill_dialog, row, within_screen
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import number
@@ -26,7 +27,6 @@ class EnlargedMap(ViewGrid):
     def __init__(self) -> None:
         super().__init__((300, 260))
         self.cursor_at: tuple[int, int] | None = None  # row and column; None: the middle
-        self.has_contours = True
 
     @property
     def values(self) -> Floats:
@@ -49,12 +49,11 @@ class EnlargedMap(ViewGrid):
         painter.setClipRect(tile)
         painter.translate(tile.topLeft().toPointF())
         step_x, step_y = tile.width() / columns, tile.height() / rows
-        if self.has_contours:
-            painter.setRenderHint(QPainter.RenderHint.Antialiasing)
-            painter.setPen(QPen(CONTOUR, 1))
-            for line in contours(self.values, self.maps.scale.high):
-                painter.drawPolyline(QPolygonF([QPointF((x + 0.5) * step_x, (y + 0.5) * step_y) for x, y in line]))
-            painter.setRenderHint(QPainter.RenderHint.Antialiasing, on=False)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setPen(QPen(CONTOUR, 1))
+        for line in contours(self.values, self.maps.scale.high):
+            painter.drawPolyline(QPolygonF([QPointF((x + 0.5) * step_x, (y + 0.5) * step_y) for x, y in line]))
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing, on=False)
         at_row, at_column = self.at
         x, y = round((at_column + 0.5) * step_x), round((at_row + 0.5) * step_y)
         painter.setPen(QPen(_CURSOR, 1, Qt.PenStyle.DashLine))
@@ -96,10 +95,10 @@ class EnlargedView(QDialog):
         self.down = Plot("Along y", "y", widest="\N{MINUS SIGN}0.00")
         self._curves = [plot.add_curve(theme.ACCENT) for plot in (self.across, self.down)]
         self.text = ElidedLabel()
-        self.contour_toggle = Toggle("Contours", "Lines of equal value", self.refresh, is_on=True)
+        self.copy = Button("Copy", "Copy the picture", lambda: copy_picture(self))
         sections = column((self.across, 1), (self.down, 1), spacing=12)
         parts = row((self.map, 5), (sections, 3), spacing=12)
-        fill_dialog(self, row((self.text, 1), self.contour_toggle), (parts, 1))
+        fill_dialog(self, row((self.text, 1), self.copy), (parts, 1))
         self.resize(within_screen(parent, QSize(860, 480)))
         self.refresh()
 
@@ -114,7 +113,7 @@ class EnlargedView(QDialog):
             i, j = view if view is not None and view[0] < rows and view[1] < columns else (rows // 2, columns // 2)
             one = maps.only(i, j)
             self.map.set_captions({(0, 0): self._grid.captions[i, j]} if (i, j) in self._grid.captions else {})
-        self.map.has_contours, self.map.is_stale = self.contour_toggle.isChecked(), self._grid.is_stale
+        self.map.is_stale = self._grid.is_stale
         for plot in (self.across, self.down):
             plot.show_stale(is_stale=self._grid.is_stale)
         self.map.show_maps(one)
@@ -144,6 +143,6 @@ class EnlargedView(QDialog):
             plot.axes["bottom"].setLabel(f"{axis} ({unit})")
         self.across.title.setText(f"Along x, at y = {number(float(y[row_at]))} {unit} ({maps.scale.title})")
         self.down.title.setText(f"Along y, at x = {number(float(x[column_at]))} {unit} ({maps.scale.title})")
-        step = f"; contours every {number(contour_step(high), 1)} {maps.scale.title}" * self.map.has_contours
+        step = f"; contours every {number(contour_step(high), 1)} {maps.scale.title}"
         described = maps.text_at((0, 0), row_at, column_at)
         self.text.setText(described + step)

@@ -1,7 +1,6 @@
 """Titled plots in the colours of the window."""
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pyqtgraph as pg
@@ -10,7 +9,7 @@ from PyQt6.QtGui import QColor, QFontMetrics
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.copies import as_table
 from app.gui.widgets.layouts import column, row, unfocused
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
 
@@ -92,10 +91,8 @@ class Plot(QWidget):
             colour_text(key, colour)
             header.addWidget(key)
         column(header, (self.graphics, 1), spacing=2, parent=self)
-        self.table: Callable[[], str] = self._table
-        add_copy_menu(self, lambda _: self.table())
 
-    def _table(self) -> str:
+    def table(self) -> str:
         """Return all curves, one below the other, as lines of tab-separated numbers."""
         heads = self.axes["bottom"].labelText if "bottom" in self.axes else "x", self.title.text()
         known = [(x, y) for x, y in (curve.getData() for curve in self.curves) if x is not None and len(x)]

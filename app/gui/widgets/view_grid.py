@@ -14,7 +14,7 @@ from PyQt6.QtGui import QBrush, QColor, QHelpEvent, QImage, QKeyEvent, QMouseEve
 from PyQt6.QtWidgets import QToolTip, QWidget
 
 from app.gui.widgets import theme
-from app.gui.widgets.copies import add_copy_menu, as_table
+from app.gui.widgets.copies import as_table
 from app.gui.widgets.presentation import ColourScale, colour_table, number
 from app.results.pictures import Pixels, enlarged
 from reconstruction.arrays import Floats
@@ -143,7 +143,6 @@ class ViewGrid(QWidget):
         self.setMinimumSize(*least)
         self.setAutoFillBackground(True)  # else all that lies below is painted, too
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        add_copy_menu(self, self._numbers_at, table=self.table)
 
     def show_maps(self, maps: Maps | None) -> None:
         self.maps = maps
@@ -268,12 +267,6 @@ class ViewGrid(QWidget):
         heads = ["view row", "view column", "row", "column", f"value ({unit})", f"standard deviation ({unit})"]
         values = [each.ravel() for each in (self.maps.values, self.maps.sigma) if each is not None]
         return as_table(heads[: 4 + len(values)], np.vstack([at, *values]).T)
-
-    def _numbers_at(self, position: QPoint) -> str:
-        """Return the map at a position, or the selected one, as a table."""
-        if self.maps is None:
-            return ""
-        return as_table((), self.maps.values[self._view_at(position) or self.selection or (0, 0)])
 
     @property
     def places(self) -> Places:

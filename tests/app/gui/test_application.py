@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from PyQt6.QtCore import QTimer
 from PyQt6.QtGui import QColor, QImage
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QFileDialog
 from support.gui_bench import BENCH, FakeCamera, opener
 from support.patience import HANG_S
 
@@ -25,6 +25,7 @@ from app.errors import Interrupted, RunError
 from app.gui.application import headless_steps, run_window
 from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
+from app.gui.widgets.copies import save_numbers
 from app.measurement.measurement import Measurement
 from drivers.interface import Disconnected
 
@@ -110,17 +111,18 @@ def test_file_that_is_not_saved_when_the_window_closes_is_told(
 ) -> None:
     disk = threading.Event()
     monkeypatch.setattr("app.gui.widgets.file_work._CLOSING_S", 0.05)
-    monkeypatch.setattr("app.gui.shell.main_window.write_picture", lambda *_: disk.wait())
+    monkeypatch.setattr("app.gui.widgets.copies.write_csv", lambda *_: disk.wait())
+    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: ("numbers.csv", ""))
 
     def open_first(window: MainWindow) -> None:
-        window.save_screenshot()
+        save_numbers(window, "x\n1", "numbers.csv")
         QTimer.singleShot(0, qapp.closeAllWindows)
 
     try:
         assert run_window(open_first) == 1
     finally:
         disk.set()
-    assert ".png: not saved: the disk has not answered when the window was closed" in capsys.readouterr().err
+    assert "numbers.csv: not saved: the disk has not answered when the window was closed" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -97,7 +97,7 @@ def test_faulty_file_shows_its_line_until_it_is_corrected(
     window.benches.open(str(path))
     qtbot.waitUntil(dialog.isVisible)
     assert dialog.windowTitle() == f"Faulty bench, line {index + 1}"
-    text = dialog.text.text()
+    text = dialog.text()
     assert "sensor.wavelength_m must be 1e-7 ... 2e-5" in text
     assert "bad &lt;bench&gt;.toml" in text
     marked = [part for part in text.split("<br>") if "&#9654;" in part]
@@ -120,7 +120,7 @@ def test_faulty_file_leaves_the_open_bench(benches: Opened, qtbot: QtBot, tmp_pa
     benches.window.benches.open("small_demo")
     qtbot.waitUntil(lambda: is_live(benches, 1))
     benches.window.benches.open(str(tmp_path / "missing.toml"))
-    qtbot.waitUntil(lambda: "no such file" in benches.window.benches.dialog.text.text())
+    qtbot.waitUntil(lambda: "no such file" in benches.window.benches.dialog.text())
     assert benches.cameras[0].light.shines
     assert len(benches.opened) == 1
     qtbot.waitUntil(benches.window.benches.dialog.isActiveWindow)
@@ -139,7 +139,7 @@ def test_library_is_loaded_only_when_it_is_trusted(
     for _ in range(2):  # closing the question is no answer
         benches.window.benches.open(str(path))
         qtbot.waitUntil(benches.window.benches.dialog.isVisible)
-        assert "lib&amp;lt;evil" in benches.window.benches.dialog.text.text()
+        assert "lib&amp;lt;evil" in benches.window.benches.dialog.text()
         benches.button("Close").click()
         assert not benches.opened
         assert benches.window.benches.error is not None

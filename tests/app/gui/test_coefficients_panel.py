@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
-from PyQt6.QtWidgets import QApplication, QFileDialog, QMenu, QWidget
+from PyQt6.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 from support.gui_bench import BENCH, make_measurement
 from support.wavefronts import modal
@@ -17,6 +17,7 @@ from support.window_tools import MakeWindow, click, dim_frame, tab, views
 
 from app.gui.panels.coefficients import CoefficientsPanel
 from app.gui.panels.history import _ticks
+from app.gui.panels.panel import Panel
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
 from app.results.history import DELAY, RMS, TEMPERATURE, sample
@@ -141,9 +142,8 @@ def test_history_shows_the_drift_of_the_time_shown_and_exports_it(
     assert (mean, sigma, peak_to_peak) == ("mean 2.508", "\N{GREEK SMALL LETTER SIGMA} 0.50", "peak to peak 1.0")
     history.minutes.setCurrentIndex(history.minutes.findData(2))
     assert history.charts[RMS].drift.text().endswith("peak to peak 98")
-    monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(tmp_path / "drift"), ""))
-    history.export_csv()
-    qtbot.waitUntil(lambda: "drift.csv" in window.messages.log)
+    save_csv(window, history, tmp_path / "drift", monkeypatch)
+    qtbot.waitUntil((tmp_path / "drift.csv").exists)
     assert len((tmp_path / "drift.csv").read_text().splitlines()) == 121
 
 
@@ -194,13 +194,13 @@ def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: Q
     assert len(clipboard.text().splitlines()) == 2
 
 
-def save_csv(widget: QWidget, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Choose the entry of the menu that a right click opens."""
+def save_csv(window: MainWindow, panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Choose the entry of the panel's own menu."""
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
-    widget.customContextMenuRequested.emit(QPoint(5, 5))
-    menu = next(each for each in widget.findChildren(QMenu) if each.isVisible())
-    next(action for action in menu.actions() if action.text() == "Save numbers as CSV…").trigger()
-    menu.close()
+    menu = next(dock for dock in window.docks.docks if dock.panel is panel).more.menu()
+    assert menu is not None
+    menu.aboutToShow.emit()
+    next(action for action in menu.actions() if action.text() == "Save the numbers as CSV…").trigger()
 
 
 def test_maps_and_coefficients_are_saved_as_csv(
@@ -208,7 +208,7 @@ def test_maps_and_coefficients_are_saved_as_csv(
 ) -> None:
     grid, panel = window.panels.wavefronts.grid, window.panels.coefficients
     assert grid.maps is not None
-    save_csv(grid, tmp_path / "maps", monkeypatch)
+    save_csv(window, window.panels.wavefronts, tmp_path / "maps", monkeypatch)
     qtbot.waitUntil((tmp_path / "maps.csv").exists)
     heads, *rows = csv.reader((tmp_path / "maps.csv").read_text().splitlines())
     assert heads == ["view row", "view column", "row", "column", "value (rad)"]
@@ -216,7 +216,7 @@ def test_maps_and_coefficients_are_saved_as_csv(
     for row in rows:
         values[tuple(map(int, row[:4]))] = float(row[4])
     np.testing.assert_allclose(values, grid.maps.values, rtol=1e-6, atol=1e-9)
-    save_csv(panel.plot, tmp_path / "modes.csv", monkeypatch)
+    save_csv(window, panel, tmp_path / "modes.csv", monkeypatch)
     qtbot.waitUntil((tmp_path / "modes.csv").exists)
     heads, *rows = csv.reader((tmp_path / "modes.csv").read_text().splitlines())
     assert heads == ["mode", "value (rad)", "standard deviation (rad)"]

@@ -262,7 +262,7 @@ def test_keys_are_unique_and_help_opens(make_window: MakeWindow) -> None:
     ]
     keys = [key for entry in entries if (key := entry.shortcut().toString())]
     assert len(set(keys)) == len(keys)
-    assert {"Space", "L", "S", "D", "R", "Esc", "Ctrl+P"} <= set(keys)
+    assert {"Space", "L", "S", "D", "R", "Esc", "Ctrl+E"} <= set(keys)
     next(entry for entry in entries if entry.shortcut().toString() == "F1").trigger()
     dialog = window.findChildren(TextDialog, "help")[0]
     assert dialog.isVisible()

@@ -16,8 +16,6 @@ from support.window_tools import press, said_in
 
 from app.bench.config import Bench, load_bench
 from app.gui.shell.main_window import MainWindow
-from reconstruction.frame.linearity import Linearity
-from reconstruction.frame.linearity_fit import MeasuredLinearity
 
 
 def bench_of(window: MainWindow) -> Bench:
@@ -62,27 +60,6 @@ def test_lattice_is_used_only_when_accepted(live: tuple[MainWindow, FakeCamera],
         assert not window.panels.camera._proposed_lines.isVisible()
         qtbot.waitUntil(lambda: window.controller.is_settled)
         qtbot.waitUntil(partial(is_about, window, center_x_px))
-
-
-@pytest.mark.slow
-@pytest.mark.long
-@pytest.mark.parametrize("is_used", [True, False])
-def test_nonlinearity_is_used_only_when_accepted(
-    live: tuple[MainWindow, FakeCamera], qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, is_used: bool
-) -> None:
-    window, _ = live
-    curve = Linearity(quadratic=0.05, cubic=0.01, highest_counts=40_000.0)
-    found = MeasuredLinearity(curve, sigma=1e-4, late_s=0.0, late_sigma_s=1e-5, drift=-0.002, flicker=1e-4)
-    monkeypatch.setattr("app.acquisition.instrument.measure_linearity", lambda *_, **__: found)
-    window.guide.measure_linearity()
-    window.guide.show()
-    qtbot.waitUntil(window.guide.yes.isVisible)
-    assert "+6.00 % off the signal at 40000 counts" in window.guide.question.text()
-    assert "drifted by -0.2 %" in window.guide.question.text()
-    (window.guide.yes if is_used else window.guide.no).click()
-    qtbot.waitUntil(lambda: window.controller.is_settled)
-    qtbot.waitUntil(lambda: (bench_of(window).linearity == curve) == is_used)
-    assert (bench_of(window).linearity is None) != is_used
 
 
 @pytest.mark.slow

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from PyQt6.QtCore import QPoint, QRect, QSettings, QStandardPaths, Qt
+from PyQt6.QtCore import QPoint, QRect, QSettings, Qt
 from PyQt6.QtGui import QScreen
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import make_measurement
 from support.window_tools import MakeWindow, dim_frame, press, views
 
-from app.gui.shell.main_window import MainWindow
 from app.results.history import DELAY, RMS
 from app.results.shown_wavefront import DisplayOptions, Unit
 from app.results.view_maps import Quantity
@@ -101,19 +100,3 @@ def test_full_screen_and_back(make_window: MakeWindow, qtbot: QtBot) -> None:
     assert window.isFullScreen()
     press(qtbot, window, Qt.Key.Key_F11)
     assert not window.isFullScreen()
-
-
-def test_screenshot_makes_a_missing_picture_folder(
-    make_window: MakeWindow, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    folder = tmp_path / "Pictures"
-    monkeypatch.setattr(QStandardPaths, "writableLocation", lambda _: str(folder))
-    window = make_window()
-    window.activateWindow()
-    qtbot.waitUntil(window.isActiveWindow)
-    press_with_control(qtbot, window)
-    qtbot.waitUntil(lambda: len(list(folder.glob("svwfs-*.png"))) == 1)
-
-
-def press_with_control(qtbot: QtBot, window: MainWindow) -> None:
-    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
