@@ -66,9 +66,10 @@ class LayersPanel(Panel):
             "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"
             "From the lenslets, negative distances lie behind them; there is no distance from the mask there."
         )
-        self.origin = Choice(about, [(f"from the {origin}", origin) for origin in get_args(Origin)])
+        self.origin = Choice(about, [(f"From the {origin}", origin) for origin in get_args(Origin)])
         self.plot = MisfitPlot()
         self.map = ViewGrid((80, 50))
+        self.map.setAccessibleName("Phase of each layer")
         self.map.setToolTip("Phase of each layer, without piston")
         self.sentence = ElidedLabel(lines=2)
         header = row(self.mode, self.origin, (ElidedLabel(), 1))

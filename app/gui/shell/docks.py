@@ -206,6 +206,7 @@ class PanelDocks:
             dock.bar.show_compact(is_compact=dock.panel.header is None and not dock.isFloating() and any(tabs))
         for bar in self._window.findChildren(QTabBar, options=Qt.FindChildOption.FindDirectChildrenOnly):
             bar.setDrawBase(False)
+            bar.setAccessibleName("Panels")
             bar.setToolTip("Drag a tab out to move or to float its panel")
             for arrow in bar.findChildren(QToolButton):
                 arrow.setFocusPolicy(Qt.FocusPolicy.NoFocus)

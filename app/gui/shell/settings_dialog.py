@@ -44,6 +44,7 @@ class SettingsDialog(QDialog):
         self._search: Future[tuple[list[DiscoveredDevice], list[str]]] | None = None
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
+        self.sections.setAccessibleName("Sections")
         self.sections.currentRowChanged.connect(self.pages.setCurrentIndex)
         self.camera, self.light = Choice("Connected camera"), Choice("Connected light")
         self._choices = {"camera": self.camera, "light": self.light}

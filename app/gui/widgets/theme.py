@@ -20,7 +20,7 @@ def _pair(dark: str, light: str) -> QColor:
 BACKGROUND = _pair("#0b0d10", "#eef0f3")
 SURFACE = _pair("#1c2026", "#fafbfc")
 RAISED = _pair("#2a3038", "#dfe4ea")
-LINE = _pair("#6d7682", "#76808b")
+LINE = _pair("#727b87", "#76808b")
 TEXT = _pair("#dde2e8", "#1b2026")
 DIM = _pair("#98a2ae", "#525d69")
 ACCENT = _pair("#4fa3e3", "#1668a8")

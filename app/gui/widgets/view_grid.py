@@ -26,8 +26,7 @@ MARGIN_PX = 3  # around all views, for the selection frame
 _BETWEEN_PX = 14  # between the captions of neighbours
 _LEAST_PX = 40  # width of views with captions: of narrower ones only the tool tips have the numbers
 _STEPS = {Qt.Key.Key_Left: (0, -1), Qt.Key.Key_Right: (0, 1), Qt.Key.Key_Up: (-1, 0), Qt.Key.Key_Down: (1, 0)}
-_HATCHING = QBrush(QColor("#6b737d"), Qt.BrushStyle.BDiagPattern)  # of unknown values
-_UNSURE = QBrush(QColor(0, 0, 0, 150), Qt.BrushStyle.FDiagPattern)  # over values
+_UNSURE = QBrush(QColor(0, 0, 0), Qt.BrushStyle.FDiagPattern)  # over values
 _DIGIT = re.compile(r"\d")
 
 Caption = tuple[tuple[str, ...], tuple[str, ...]]  # left and right part, each with its wordings, longest first
@@ -141,6 +140,7 @@ class ViewGrid(QWidget):
         self.captions: Mapping[tuple[int, int], Caption] = {}  # by view_row and view_column
         self.selection: tuple[int, int] | None = None  # the framed view
         self.setMinimumSize(*least)
+        self.setAccessibleName("Map of each view")
         self.setAutoFillBackground(True)  # else all that lies below is painted, too
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
@@ -292,7 +292,7 @@ class ViewGrid(QWidget):
             for row, column in np.argwhere(~self._pixels.all(axis=(2, 3))):
                 painter.fillRect(places.tile(row, column), theme.RAISED)
                 if self.is_hatched:
-                    painter.fillRect(places.tile(row, column), _HATCHING)
+                    painter.fillRect(places.tile(row, column), QBrush(theme.LINE, Qt.BrushStyle.BDiagPattern))
         ratio = self.devicePixelRatioF()
         width, height = math.ceil(places.size.width() * ratio), math.ceil(places.size.height() * ratio)
         shown = enlarged(self._pixels, height, width, is_smooth=maps.is_smooth and is_known)

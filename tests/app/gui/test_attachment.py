@@ -122,6 +122,7 @@ def test_window_that_watches_says_who_has_control_and_takes_it(
         commanding = controls.start, controls.dark, controls.exposure, controls.refine, panel.record, panel.keep
         qtbot.waitUntil(controls.light.isEnabled)  # any client may switch it off
         assert not any(each.isEnabled() for each in commanding)
+        assert server.acquisition.status is not None
         window.show_status(server.acquisition.status)  # a status enables what the devices have
         assert not any(each.isEnabled() for each in commanding)
         assert controls.light.isEnabled()

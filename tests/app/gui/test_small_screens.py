@@ -26,6 +26,7 @@ from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import MakeWindow, dim_frame, tabs, views, wait_for_wavefront
 
+from app.gui.panels.panel import DataFreshness
 from app.gui.shell.controller import Controller
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.recording import RecordingPanel
@@ -239,6 +240,25 @@ def test_death_of_the_instrument_is_told_in_full(make_window: MakeWindow, monkey
         window.messages.text.shown.replace("\n", "")
         == f"{DEATH[0].upper()}{DEATH[1:]}  \N{EM DASH}  reconnect (Ctrl+R)"
     )
+
+
+@pytest.mark.usefixtures("restored_theme", "font_size")
+def test_doubtful_frame_keeps_its_badge_and_its_number_whole(make_window: MakeWindow, qtbot: QtBot) -> None:
+    styled_application()
+    window = make_window()
+    window.resize(1280, 720)
+    window.docks.restore_default()
+    window.panels.wavefronts.menu.change(removed=frozenset({2, 3}))  # tilt
+    window.show_measurement(make_measurement(dim_frame(), views()))
+    summary, camera = window.panels.wavefronts._summary, window.panels.camera
+    qtbot.waitUntil(lambda: summary.text().endswith("; no tilt"))
+    window.shown.data_freshness = DataFreshness("ANOTHER SAMPLE? SEARCHING", "it contradicts the layers found last")
+    for panel in window.panels:
+        panel.show_numbers()
+    settle()
+    assert not cut_texts(camera)
+    assert camera.badge.width() <= camera.width()
+    assert " rad; no tilt; ANOTHER" in summary.shown.replace("\n", "")
 
 
 @pytest.mark.usefixtures("restored_theme", "font_size")

@@ -76,7 +76,8 @@ def test_lines_maps_and_arrows_have_contrast(qapp: QApplication, name: str) -> N
     grounds = theme.BACKGROUND, theme.SURFACE
     texts = theme.TEXT, theme.DIM, theme.ACCENT, theme.GREEN, theme.AMBER, theme.RED
     assert min(contrast(text, ground) for text in texts for ground in grounds) >= 4.5
-    assert contrast(theme.TEXT, theme.RAISED) >= 4.5  # on buttons
+    assert min(contrast(text, theme.RAISED) for text in texts) >= 4.5  # on buttons and choices
+    assert contrast(theme.LINE, theme.RAISED) >= 3  # the hatching of unknown values
     assert contrast(theme.TEXT, theme.CHECKED) >= 4.5
     assert contrast(theme.BACKGROUND, theme.AMBER) >= 4.5  # a badge
     lines = theme.LINE, theme.ACCENT, theme.GREEN, theme.AMBER, theme.RED

@@ -8,16 +8,7 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction
-from PyQt6.QtWidgets import (
-    QAbstractButton,
-    QAbstractSpinBox,
-    QApplication,
-    QComboBox,
-    QDialog,
-    QFileDialog,
-    QLineEdit,
-    QWidget,
-)
+from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QApplication, QComboBox, QDialog, QFileDialog, QWidget
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera, make_measurement
 from support.window_tools import LENSLETS, MakeWindow, acquisition_of, click, dim_frame, picture, press, tabs, views
@@ -135,8 +126,10 @@ def test_every_control_has_a_name(make_window: MakeWindow) -> None:
     window.panels.wavefronts.enlarge()
     window.benches.make()
     window.benches.edit("sensor")
-    kinds = (QAbstractButton, QAbstractSpinBox, QComboBox, QLineEdit)
-    controls = [one for kind in kinds for one in window.findChildren(kind)]
+    is_reached = Qt.FocusPolicy.TabFocus.value
+    controls = [one for one in window.findChildren(QWidget) if one.focusPolicy().value & is_reached]
+    controls += window.findChildren(QAbstractButton)
+    controls = [one for one in controls if not one.inherits("QListView") or one.inherits("QListWidget")]  # of a choice
     inner = QAbstractSpinBox, QComboBox
     named = [one for one in controls if not isinstance(one.parentWidget(), inner)]  # a field within a field
     named = [one for one in named if not one.objectName().startswith("qt_")]  # parts of Qt's own widgets
