@@ -33,7 +33,8 @@ from support.window_tools import tabs, use_font
 
 _WAIT_S = 300.0
 _SETTLE_MS = 2000  # numbers, plots in the background and notices
-_SCREENS = ((1440, 900, "dark"), (1280, 800, "light"), (1920, 1080, "dark"))  # px, theme
+# px, theme, size of texts in percent
+_SCREENS = ((1440, 900, "dark", 100), (1280, 720, "light", 100), (1280, 720, "dark", 150), (1920, 1080, "light", 100))
 _IN_DOCS = {"live": "window", "recorded": "window_recorded", "replay": "window_replay"}
 _DOCS_WIDTH = 1100  # px
 _DIALOGS = ("Shortcuts and conventions…", "Message log…", "Documentation…", "About svwfs…", "Choose the sensor region…")
@@ -134,6 +135,7 @@ class Photographer:
         window.show()
         if screen is not None:
             window.resize(screen.size())
+            window.docks.restore_default()  # for this size
         return window
 
     def _close(self, window: MainWindow) -> None:
@@ -185,10 +187,13 @@ def _pause(milliseconds: int) -> None:
         time.sleep(0.01)
 
 
-def take(theme: str, folder: Path) -> None:
+def take(theme: str, percent: int, folder: Path) -> None:
     """Take the pictures of a screen in this process."""
     application = QApplication(sys.argv[:1])
     use_font(application)
+    font = application.font()
+    font.setPointSizeF(font.pointSizeF() * percent / 100)
+    application.setFont(font)
     styled_application()
     use_theme(application, theme)
     folder.mkdir(parents=True, exist_ok=True)
@@ -198,18 +203,18 @@ def take(theme: str, folder: Path) -> None:
 def main(out: Path) -> None:
     """Take the pictures of all screens; copy what the documentation shows."""
     out.mkdir(parents=True, exist_ok=True)
-    for width, height, theme in _SCREENS:
+    for width, height, theme, percent in _SCREENS:
         screen = {"name": "screen", "x": 0, "y": 0, "width": width, "height": height}
         (out / "screen.json").write_text(json.dumps({"screens": [screen]}))  # the usual one has 800 x 800 pixels
         environment = {**os.environ, "QT_QPA_PLATFORM": f"offscreen:configfile={out / 'screen.json'}"}
         environment["PYTHONPATH"] = os.pathsep.join([str(ROOT), str(ROOT / "tests")])
-        folder = out / f"{width}x{height}-{theme}"
-        command = [sys.executable, "-m", "support.screenshots", "--theme", theme, str(folder)]
+        folder = out / f"{width}x{height}-{theme}-{percent}"
+        command = [sys.executable, "-m", "support.screenshots", "--theme", theme, str(percent), str(folder)]
         subprocess.run(command, check=True, env=environment)  # noqa: S603 - this script
         sys.stdout.write(f"{folder}\n")
-    width, height, theme = _SCREENS[0]
+    width, height, theme, percent = _SCREENS[0]
     for state, name in _IN_DOCS.items():
-        picture = QImage(str(out / f"{width}x{height}-{theme}" / f"{state}.png"))
+        picture = QImage(str(out / f"{width}x{height}-{theme}-{percent}" / f"{state}.png"))
         small = picture.scaledToWidth(_DOCS_WIDTH, Qt.TransformationMode.SmoothTransformation)
         if not small.save(str(DOCS / f"{name}.png")):
             raise OSError(f"{DOCS / name}.png cannot be written")
@@ -217,6 +222,6 @@ def main(out: Path) -> None:
 
 if __name__ == "__main__":
     if sys.argv[1] == "--theme":
-        take(sys.argv[2], Path(sys.argv[3]))
+        take(sys.argv[2], int(sys.argv[3]), Path(sys.argv[4]))
     else:
         main(Path(sys.argv[1]))

@@ -270,8 +270,7 @@ class CameraPanel(Panel):
         self._use_tool()
 
     def _use_tool(self) -> None:
-        drag = _TOOLS[self.tool.currentData()]
-        self._view.is_drawing = bool(drag)
+        self._view.is_drawing = bool(drag := _TOOLS[self.tool.currentData()])
         self._drawn.draw(np.zeros((0, 2)))
         if self._view.is_drawing:
             self.informed.emit(f"drag over the camera picture: {drag}; Esc ends it")

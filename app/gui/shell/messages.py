@@ -57,8 +57,7 @@ class MessageStrip(QFrame):
         for widget in hidden:
             widget.hide()
         fill_strip(self, (self.text, 1), *hidden, self.show_log)
-        height = max(self.cancel.sizeHint().height(), 2 * self.fontMetrics().height())
-        self.setFixedHeight(height + 8)  # the same with and without a button or a second line
+        self.setFixedHeight(max(self.cancel.sizeHint().height(), 2 * self.fontMetrics().height()) + 8)  # constant
 
     @property
     def log(self) -> str:
