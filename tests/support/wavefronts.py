@@ -25,7 +25,9 @@ def bowl(tilt_rad_per_m: float = 0.0) -> Wavefront:
     slopes = np.stack([slopes, growth, np.zeros_like(slopes)], axis=2)
     variance = np.full(slopes.shape, 100.0**2)
     displacement = converged(LegendreModes(3), slopes / SENSOR.slope_per_px, variance / SENSOR.slope_per_px**2)
-    return Wavefront.of(SENSOR, FIELD, displacement, ZonalSolution(SENSOR, displacement))
+    made = Wavefront.of(SENSOR, FIELD, displacement, ZonalSolution(SENSOR, displacement))
+    made.views.setflags(write=True)  # tests change them
+    return made
 
 
 def modal(
@@ -48,4 +50,6 @@ def modal(
     displacement = converged(LegendreModes(count), pixels, np.full(pixels.shape, sigma_px**2))
     parameters = np.eye(2 * count)
     solver = ModalSolver(modes, MeanGradients(SENSOR, parameters), parameters, displacement.covariance)
-    return Wavefront.of(SENSOR, FIELD, displacement, solver(displacement))
+    made = Wavefront.of(SENSOR, FIELD, displacement, solver(displacement))
+    made.views.setflags(write=True)  # as above
+    return made

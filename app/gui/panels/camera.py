@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from PyQt6.QtCore import QPointF, Qt, pyqtSignal
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QWidget
 
 from app.acquisition.instrument import Status
 from app.gui.panels.panel import DisplayState, Entries, MoreEntries, Panel, Request
@@ -18,7 +18,6 @@ from app.gui.widgets.copies import as_table
 from app.gui.widgets.layouts import column, row_of, unfocused
 from app.gui.widgets.presentation import MAGNIFICATIONS, AdaptiveScale, percent
 from app.gui.widgets.texts import ElidedLabel, colour_text, label
-from app.gui.widgets.timers import timer
 from app.measurement.measurement import Measurement
 from app.progress import counted
 from app.results.frame_statistics import FrameStatistics, frame_statistics
@@ -37,7 +36,7 @@ _CLOSEST_PX = 8  # side of the smallest area that fills the view
 _FARTHEST = 2.0  # widths and heights of the frame that the view shows at most
 _HINT = (
     "+x: to the right; +y: down\n"
-    "Wheel: zoom; drag: move; double click or 0: whole frame\n"
+    "Wheel: zoom; drag: move; 0: whole frame\n"
     "Click: inspect the lenslet; right click: exclude it, copy picture or displacements"
 )
 _TOOLS = {  # what to drag over the picture
@@ -73,7 +72,6 @@ class CameraPanel(Panel):
         self._magnification = 1.0  # of the arrows
         self._pointer: QPointF | None = None
         self._inspected: Lenslet | None = None
-        self._clicked_at: Lenslet | None = None  # perhaps for the first of two times
 
         cells = "Show the lenslets' cells; lost lenslets are crossed out in red (G)"
         moved = "Show each lenslet's displacement, averaged over the field (A)"
@@ -113,7 +111,6 @@ class CameraPanel(Panel):
         self._view.sigResized.connect(self._keep_in_sight)
         self._graphics.scene().sigMouseMoved.connect(self._point_at)
         self._graphics.scene().sigMouseClicked.connect(self._click)
-        self._click_timer = timer(self, 0, lambda: self.inspect(self._clicked_at), is_single=True)
 
     def menu_entries(self) -> Mapping[str, Entries]:
         return {
@@ -121,9 +118,6 @@ class CameraPanel(Panel):
                 ("Lattice", "G", self.lattice_toggle),
                 ("Arrows", "A", self.arrows_toggle),
                 ("Whole camera image", "0", self.reset_zoom),
-                ("Draw a pupil", "", lambda: self.use_tool("pupil")),
-                ("Exclude lenslets in a rectangle", "", lambda: self.use_tool("exclude")),
-                ("Use lenslets in a rectangle again", "", lambda: self.use_tool("use again")),
                 None,
             )
         }
@@ -215,10 +209,6 @@ class CameraPanel(Panel):
             colours = "inferno" if self.colours.isChecked() else "grey"
             self._image.show_counts(self._frame.pixels, colours, black, white, clip_level)
 
-    def use_levels(self, black: float, white: float) -> None:
-        self.contrast.setCurrentText(_FROZEN)
-        self._show_levels(black, white)
-
     def _show_levels(self, black: float, white: float) -> None:
         self.shown.levels = black, max(white, black + 1)
         self._draw()
@@ -259,10 +249,6 @@ class CameraPanel(Panel):
         has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the room
         length = f"Arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
         self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
-
-    def use_tool(self, name: str) -> None:
-        """Use a tool for the next drags; the one in use is put away."""
-        self.tool.setCurrentIndex(self.tool.findData("inspect" if self.tool.currentData() == name else name))
 
     def put_tool_away(self) -> None:
         """Let drags move the picture again."""
@@ -317,13 +303,9 @@ class CameraPanel(Panel):
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
 
     def _click(self, event: Any) -> None:  # pyqtgraph declares no types
-        """Show the whole frame at a double click; inspect a lenslet at a single left one, unless a tool is in use."""
-        self._click_timer.stop()
-        if event.double():
-            self.reset_zoom()
-        elif event.button() == Qt.MouseButton.LeftButton and not self._view.is_drawing:
-            self._clicked_at = self._lenslet_at(self._view.mapSceneToView(event.scenePos()))
-            self._click_timer.start(QApplication.doubleClickInterval())  # it may be the first of two
+        """Inspect a lenslet at a left click, unless a tool is in use."""
+        if event.button() == Qt.MouseButton.LeftButton and not self._view.is_drawing:
+            self.inspect(self._lenslet_at(self._view.mapSceneToView(event.scenePos())))
 
     def _lenslet_at(self, at: QPointF) -> Lenslet | None:
         sensor = self._sensor

@@ -6,13 +6,11 @@ from typing import Any
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QKeySequence
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QStackedWidget, QTableWidget, QTableWidgetItem
 
 from app.gui.panels.panel import DisplayState, Panel, Request
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Choice, Toggle
-from app.gui.widgets.copies import copy_text
 from app.gui.widgets.layouts import column, row
 from app.gui.widgets.plot import Plot
 from app.gui.widgets.presentation import AdaptiveScale, diverging, signed, with_error
@@ -43,7 +41,7 @@ class CoefficientsPanel(Panel):
         for choice in (self.of, self.basis):
             choice.setSizeAdjustPolicy(Choice.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
             choice.setMinimumContentsLength(10)
-        self.table_toggle = Toggle("Table", "Numbers with one standard deviation; Ctrl+C copies them", self._turn)
+        self.table_toggle = Toggle("Table", "Numbers with one standard deviation", self._turn)
         self.plot = Plot("Coefficients", "", widest="\N{MINUS SIGN}0.000")
         self.plot.setToolTip("Click a bar to record its history and to map it over the field; click it again to stop")
         self._bars = pg.BarGraphItem(x=[0], height=[0], width=0.7, pen=None)
@@ -189,12 +187,6 @@ class _Table(QTableWidget):
             header.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
             header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)  # the names have different lengths
 
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:  # noqa: N802 - Qt's name
-        if event is not None and event.matches(QKeySequence.StandardKey.Copy):
-            copy_text(self.text)
-        else:
-            super().keyPressEvent(event)
-
     def show_rows(self, rows: list[tuple[str, str, str]], unit: str) -> None:
         """Show texts; selection and position stay."""
         if not self.isVisible():
@@ -210,12 +202,3 @@ class _Table(QTableWidget):
                         item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                     self.setItem(index, at, item)
                 item.setText(text)
-
-    @property
-    def text(self) -> str:
-        """The selected rows, or all, as lines of tab-separated texts."""
-        rows = sorted({index.row() for index in self.selectedIndexes()}) or range(self.rowCount())
-        lines = [[item.text() for at in range(3) if (item := self.item(index, at))] for index in rows]
-        heads = [[item.text() for at in range(3) if (item := self.horizontalHeaderItem(at))]]
-        text = "\n".join("\t".join(line) for line in heads + lines)
-        return text.replace("\N{MINUS SIGN}", "-").replace("\N{EN DASH}", "nan")

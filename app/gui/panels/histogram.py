@@ -2,7 +2,6 @@
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QSignalBlocker, pyqtSignal
 from PyQt6.QtGui import QColor
 
 from app.gui.panels.panel import DisplayState, Panel
@@ -14,13 +13,9 @@ from app.results.frame_statistics import NEARLY_FULL
 
 
 class HistogramPanel(Panel):
-    """Number of pixels over counts, on a logarithmic scale, with lines at full and nearly full pixels.
-
-    Two handles set which counts are black and white in the camera picture.
-    """
+    """Number of pixels over counts, on a logarithmic scale, with lines at full and nearly full pixels."""
 
     title = "Histogram"
-    levels_chosen = pyqtSignal(float, float)
 
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
@@ -32,9 +27,6 @@ class HistogramPanel(Panel):
         )
         self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
         self.plot.view.addItem(self.curve)
-        self.levels = pg.LinearRegionItem(swapMode="block", brush=(0, 0, 0, 0))
-        self.levels.sigRegionChanged.connect(lambda: self.levels_chosen.emit(*self.levels.getRegion()))
-        self.plot.view.addItem(self.levels)
         theme.follow(self.plot, self._colour)
         self._lines = [self.plot.add_line(colour, 90) for _, colour in keys]
         self.plot.axes["left"].setTicks([[(decade, f"{10**decade}") for decade in range(8)]])
@@ -45,17 +37,11 @@ class HistogramPanel(Panel):
         fill = QColor(theme.ACCENT)
         fill.setAlpha(100)
         self.curve.setBrush(fill)
-        for handle in self.levels.lines:
-            handle.setPen(pg.mkPen(theme.TEXT, width=2))
-            handle.setHoverPen(pg.mkPen(theme.ACCENT, width=3))
 
     def show_numbers(self) -> None:
         found = self.shown.statistics
         if found is None or not self.isVisible():
             return
-        if self.shown.levels is not None:
-            with QSignalBlocker(self.levels):
-                self.levels.setRegion(self.shown.levels)
         self.curve.setData(found.level, np.log10(np.maximum(found.pixels, 0.8)))
         for line, part in zip(self._lines, (NEARLY_FULL, 1.0), strict=True):
             line.setValue(part * found.clip_level)

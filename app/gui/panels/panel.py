@@ -68,7 +68,6 @@ class DisplayState(QObject):
         self.pinned_rad: float | None = None  # present value of the pinned coefficient
         self.data_freshness, self.problem = DataFreshness(), ""  # the problem: why there may be no wavefront
         self.verdict = Verdict()
-        self.has_open_tabs = True
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
 
     def proposed(self, name: str) -> str:

@@ -79,7 +79,6 @@ class WavefrontPanel(Panel):
         shown.pupil_drawn.connect(lambda pupil: self.menu.change(pupil=pupil))
         self.menu.fit_pupil.triggered.connect(self._fit_pupil)
         self.menu.file.triggered.connect(self._choose_file)
-        self.menu.enlarge.triggered.connect(self.enlarge)
         self.display_button = Button("Display", "Remove modes, subtract, mean, unit, views")
         self.display_button.setMenu(self.menu)
         self.grid = ViewGrid()
@@ -148,7 +147,7 @@ class WavefrontPanel(Panel):
 
     def request(self) -> Request | None:
         """Frame the chosen view, and request maps with their numbers, of a wavefront only these."""
-        self.grid.select(self.shown.view if self.shown.has_open_tabs else None)
+        self.grid.select(self.shown.view)
         wavefront, quantity, settings = self.shown.wavefront, self.quantity, self.shown.reconstruction
         if wavefront is not None and quantity is Quantity.WAVEFRONT:
             options = self.menu.options
@@ -365,20 +364,15 @@ class DisplayMenu(QMenu):
         super().__init__("&Display", parent)
         self.setToolTipsVisible(True)
         self.options, self.unit = DisplayOptions(), Unit.RAD
-        self.enlarge = self._add("Enlarge the selected view…", "Also by a double click")
-        self.addSeparator()
         remove = _StayingMenu("Remove", self)
         self.addMenu(remove)
         self.removed = {mode: QAction(name, remove) for mode, name in REMOVABLE.items()}
-        piston = QAction("Piston, which is not measured", remove)
+        remove.addSection("Piston is not measured")
         self.tilt = QAction("Tip and tilt", remove)
-        for action, is_on in ((piston, True), (self.tilt, False)):
-            action.setCheckable(True)
-            action.setChecked(is_on)
-            action.setEnabled(not is_on)
-            remove.addAction(action)
+        self.tilt.setCheckable(True)
         self.tilt.triggered.connect(self._remove_tilt)
         self.changed.connect(lambda: self.tilt.setChecked(self.options.removed >= TILT))
+        remove.addAction(self.tilt)
         for mode, action in self.removed.items():
             action.setObjectName(f"view/without {mode}")  # its state is kept between two starts
             action.setCheckable(True)

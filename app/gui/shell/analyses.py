@@ -81,7 +81,6 @@ class Analyses(QObject):
 
     def poll(self) -> None:
         """Show results and compute what is requested now; called at each refresh of the window."""
-        self._shown.has_open_tabs = any(panel.isVisible() for panel in self.of if panel.is_tab)
         for panel, analysis in self.of.items():
             if (result := analysis.take()) is not None:
                 self._show(panel, analysis, result)

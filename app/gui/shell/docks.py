@@ -51,7 +51,6 @@ def make_panels(shown: DisplayState) -> Panels:
     made = Panels(*(kind(shown) for kind in get_type_hints(Panels).values()))
     made.camera.counts_for = made.controls, made.histogram
     made.camera.lenslet_clicked.connect(made.lenslet.inspect)
-    made.histogram.levels_chosen.connect(made.camera.use_levels)
     made.coefficients.pinned.connect(made.history.pin)
     return made
 
@@ -143,10 +142,8 @@ class PanelDocks:
         window.setDockOptions(_OPTIONS.AllowNestedDocks | _OPTIONS.AllowTabbedDocks | _OPTIONS.GroupedDragging)
         window.setTabPosition(Qt.DockWidgetArea.AllDockWidgetAreas, QTabWidget.TabPosition.North)
         self.settle = timer(window, 0, self._arrange, is_single=True)  # after all the signals of a change
-        self._hint = label("All panels are closed or float: View > Restore default layout docks them", "dim")
-        self._hint.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._middle = QWidget()
-        column((self._hint, 1), bar, spacing=0, parent=self._middle)
+        column((QWidget(), 1), bar, spacing=0, parent=self._middle)
         window.setCentralWidget(self._middle)
         for dock in self.docks:
             for changed in (dock.visibilityChanged, dock.topLevelChanged, dock.dockLocationChanged):
@@ -197,7 +194,6 @@ class PanelDocks:
     def _arrange(self) -> None:
         """Show headers of panels without a tab, and dress the tabs, which Qt makes anew."""
         docked = [dock for dock in self.docks if not (dock.isHidden() or dock.isFloating())]
-        self._hint.setVisible(not docked)
         is_beside = any(self._window.dockWidgetArea(dock) in _SIDES for dock in docked)
         needed = QSizePolicy.Policy.Preferred if is_beside or not docked else QSizePolicy.Policy.Fixed
         self._middle.setSizePolicy(QSizePolicy.Policy.Preferred, needed)  # the docks have the rest

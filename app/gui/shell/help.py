@@ -116,23 +116,19 @@ def help_entries(
             page = QUrl.fromLocalFile(str(folder / _FIRST_PAGE))
             TextDialog("documentation", "Documentation", window).show_page(page)
 
-    def show_citation() -> None:
-        text = _CITATION.read_text("utf-8").replace("VERSION", versions()["svwfs"])
-        TextDialog("citation", "How to cite", window, text).show()
-
     def show_about() -> None:
         installed = versions("zarr")
         present = {"Version": installed.pop("svwfs", "not installed"), "Licence": "GPL-3.0-or-later", **facts()}
         machine = {name.capitalize(): str(fact) for name, fact in machine_facts().items()}
         about = {**present, **machine, "Qt": QT_VERSION_STR, **installed}
         text = "\n".join(f"{name}: {fact}" for name, fact in about.items())
-        text = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n"
+        cite = _CITATION.read_text("utf-8").replace("VERSION", versions()["svwfs"])
+        text = f"svwfs: a live instrument for space-variant Shack-Hartmann wavefront sensing\n\n{text}\n\n{cite}"
         TextDialog("about", "About svwfs", window, text).show()
 
     return (
         ("Shortcuts and conventions…", "F1", show_keys),
         ("Message log…", "Ctrl+L", messages.show_log),
         ("Documentation…", "Shift+F1", show_documentation),
-        ("How to cite…", "", show_citation),
         ("About svwfs…", "", show_about),
     )

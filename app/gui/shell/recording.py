@@ -194,15 +194,16 @@ class RecordingBar(QFrame):
         self.show()
         self.name.setFocus()  # what is typed now is its name
 
-    def use_recordings_folder(self, folder: Path) -> None:
+    def use_folder(self, folder: Path) -> None:
         self.recordings_folder = folder
         if self._saved is not None:
             self._saved.setValue(_FOLDER, str(folder))
         self._messages.inform(f"recordings are saved in {folder}")
 
-    def choose_recordings_folder(self) -> None:
-        if chosen := QFileDialog.getExistingDirectory(self, "Recordings folder", str(self.recordings_folder)):
-            self.use_recordings_folder(Path(chosen))
+    def _choose(self, title: str, act: Callable[[Path], object]) -> None:
+        """Ask for a folder, and act on it."""
+        if chosen := QFileDialog.getExistingDirectory(self, title, str(self.recordings_folder)):
+            act(Path(chosen))
 
     def ask_to_end(self, then: Callable[[], object]) -> None:
         """Call `then`, after the user has agreed that a recording ends."""
@@ -258,15 +259,11 @@ class RecordingBar(QFrame):
             ("Start or stop recording", "W", self._panel.record),
             ("Name, note and end of the recording", "Shift+W", self.prepare),
             ("Save the last seconds", "K", self._panel.keep),
-            ("Replay a recording…", "Ctrl+Shift+O", self._choose_recording),
+            ("Replay a recording…", "Ctrl+Shift+O", partial(self._choose, "Replay a recording", self.play)),
             ("Replay a recent recording", "", self.recent.menu(self, lambda folder: folder.name, self.play)),
-            ("Recover a recording…", "", self._choose_to_recover),
-            ("Choose the recordings folder…", "", self.choose_recordings_folder),
+            ("Recover a recording…", "", partial(self._choose, "Recover a recording", self._recover)),
+            ("Choose the recordings folder…", "", partial(self._choose, "Recordings folder", self.use_folder)),
         )
-
-    def _choose_recording(self) -> None:
-        if chosen := QFileDialog.getExistingDirectory(self, "Replay a recording", str(self.recordings_folder)):
-            self.play(Path(chosen))
 
     def play(self, folder: Path) -> None:
         self._opening.run(partial(read_run, folder), lambda _: self._start_window(folder))
@@ -390,10 +387,6 @@ class RecordingBar(QFrame):
 
         end = f"recording {folder.name} is complete"
         self._run(self.recover, ("recover", folder), f"recovering {folder.name}", end, show)
-
-    def _choose_to_recover(self) -> None:
-        if chosen := QFileDialog.getExistingDirectory(self, "Recover a recording", str(self.recordings_folder)):
-            self._recover(Path(chosen))
 
     def _export(self, to: Format, folder: Path) -> None:
         what, suffixes = EXPORT_FORMATS[to]

@@ -119,7 +119,7 @@ def test_click_on_a_lenslet_opens_its_inspector(
     window.show_measurement(shown(inspected()))
     assert panel.request() is None
     click_lenslet(window.panels.camera, 4, 7)
-    qtbot.waitUntil(panel.isVisible)  # a double click would have shown the whole frame
+    qtbot.waitUntil(panel.isVisible)
     assert not window.panels.quality.isVisible()
     assert panel.numbers.text() == "Computing\N{HORIZONTAL ELLIPSIS}"
     go_on.set()
@@ -216,21 +216,3 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
     lenslet.exclude.click()
     qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     qtbot.waitUntil(lambda: lenslet.exclude.text() == "Exclude")
-
-
-def test_two_handles_set_the_contrast_of_the_camera_picture(window: MainWindow, qtbot: QtBot) -> None:
-    camera, levels = window.panels.camera, window.panels.histogram.levels
-    window.panels.histogram.front_requested.emit()
-    pixels = dim_frame()
-    pixels[100:130, 50:90] = 5000  # 0.9 %
-    window.show_measurement(make_measurement(pixels, views()))
-    count_pixels(qtbot, window)
-    assert levels.getRegion() == window.shown.levels == (1000, 5000)
-    levels.lines[0].setValue(900.0)
-    levels.lines[1].setValue(1100.0)  # as a drag does
-    assert camera.contrast.currentText() == "Frozen contrast"
-    assert window.shown.levels == (900, 1100)
-    assert camera._image.colours(pixels)[0, 0] & 0xFF in range(126, 130)  # 1000 counts: middle grey
-    camera.contrast.setCurrentText("Full range")
-    window.update_text()
-    assert levels.getRegion() == (0, 65535)

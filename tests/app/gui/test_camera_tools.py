@@ -26,6 +26,10 @@ def window(make_window: MakeWindow, qtbot: QtBot) -> MainWindow:
     return window
 
 
+def use_tool(panel: CameraPanel, name: str) -> None:
+    panel.tool.setCurrentIndex(panel.tool.findData(name))
+
+
 def drag(panel: CameraPanel, start: tuple[float, float], end: tuple[float, float]) -> None:
     """Drag with the left button from one camera pixel to another."""
     QApplication.processEvents()
@@ -53,7 +57,7 @@ def test_drag_without_a_tool_moves_the_picture(window: MainWindow) -> None:
 def test_pupil_is_drawn_from_its_middle_to_its_edge(window: MainWindow) -> None:
     panel = window.panels.camera
     window.show_measurement(make_measurement(dim_frame(), views()))
-    panel.use_tool("pupil")
+    use_tool(panel, "pupil")
     drag(panel, (215, 150), (215 + 3 * LATTICE.pitch_px, 150))
     pupil = window.shown.pupil
     assert pupil is not None
@@ -87,7 +91,7 @@ def test_lenslets_are_those_whose_centres_lie_in_the_rectangle(window: MainWindo
     asked: list[tuple[list[tuple[int, int]], bool | None]] = []
     panel.shown.exclusion_requested.disconnect()
     panel.shown.exclusion_requested.connect(lambda *which: asked.append(which))
-    panel.use_tool("exclude")
+    use_tool(panel, "exclude")
     drag(panel, (260, 190), (160, 110))
     turn = np.exp(1j * angle_rad)
     places = {at: complex(215, 150.5) + 31.25 * turn * complex(at[1] - 6, at[0] - 4) for at in np.ndindex(LENSLETS)}
@@ -107,24 +111,24 @@ def test_mask_drawn_by_hand_and_undone(live: tuple[MainWindow, FakeCamera], qtbo
     wait_for_wavefront(qtbot, window)
     panel = window.panels.camera
     panel.reset_zoom()
-    panel.use_tool("exclude")
+    use_tool(panel, "exclude")
     drag(panel, (140, 105), (290, 195))  # columns 4 ... 8, rows 3 ... 5
     qtbot.waitUntil(lambda: window.verdict.valid == "102 of 117")
     drag(panel, (140, 105), (230, 135))  # excluded already: as before
     qtbot.waitUntil(lambda: window.controller.is_settled)
     assert window._status is not None
     assert len(window._status.bench_in_force.registration.excluded) == 15
-    panel.use_tool("use again")
+    use_tool(panel, "use again")
     drag(panel, (140, 105), (290, 195))
     qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")
     assert window._status.bench_in_force.registration.excluded == ()
-    panel.use_tool("exclude")
+    use_tool(panel, "exclude")
     drag(panel, (1, 1), (428, 298))  # all
     qtbot.waitUntil(lambda: window.controller.is_settled)
     window.messages.clear_notice()
     qtbot.waitUntil(lambda: "All lenslets are excluded by hand" in window.messages.text.text())
     assert "R: reference" not in window.messages.text.text()  # which would not help
     assert window._status.reference.validity == "good"
-    panel.use_tool("use again")
+    use_tool(panel, "use again")
     drag(panel, (1, 1), (428, 298))
     qtbot.waitUntil(lambda: window.verdict.valid == "117 of 117")

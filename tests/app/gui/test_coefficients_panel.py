@@ -174,24 +174,25 @@ def test_history_of_phases_follows_the_unit(window: MainWindow) -> None:
         assert history.charts[DELAY].value.text() == "4.00 ms"
 
 
-def test_table_copies_all_rows_or_the_selected_ones(window: MainWindow, qtbot: QtBot) -> None:
+def test_table_has_every_mode_with_its_error(window: MainWindow, qtbot: QtBot) -> None:
     panel = window.panels.coefficients
     window.panels.wavefronts.menu.units[2].trigger()
     assert window.panels.wavefronts.menu.unit is Unit.NM
     window.show_measurement(measurement(-0.5))
     qtbot.waitUntil(lambda: panel.plot.title.text().startswith("Coefficients (nm)"))
     click(qtbot, panel.table_toggle, panel.table_toggle.rect().center())
-    QtBot.keyClick(panel.numbers, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    clipboard = QApplication.clipboard()
-    assert clipboard is not None
-    lines = [line.split("\t") for line in clipboard.text().splitlines()]
-    assert lines[0] == ["mode", "nm", "1\N{GREEK SMALL LETTER SIGMA}"]
-    assert lines[3][0] == "L3 P2(x)"
-    assert float(lines[3][1]) == pytest.approx(-0.5 * 462 / (2 * np.pi), abs=0.05)
-    assert len(lines) == panel.numbers.rowCount() + 1
-    panel.numbers.selectRow(2)
-    QtBot.keyClick(panel.numbers, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier)  # type: ignore[no-untyped-call] # pytest-qt declares no types
-    assert len(clipboard.text().splitlines()) == 2
+    heads = [panel.numbers.horizontalHeaderItem(at) for at in range(3)]
+    assert [head and head.text() for head in heads] == ["mode", "nm", "1\N{GREEK SMALL LETTER SIGMA}"]
+    name, value, sigma = (panel.numbers.item(2, at) for at in range(3))
+    assert name is not None
+    assert value is not None
+    assert sigma is not None
+    assert name.text() == "L3 P2(x)"
+    number = float(value.text().replace("\N{MINUS SIGN}", "-"))
+    assert number == pytest.approx(-0.5 * 462 / (2 * np.pi), abs=0.05)
+    assert sigma.text()
+    assert panel._found is not None
+    assert panel.numbers.rowCount() == len(panel._found.names) - 1
 
 
 def save_csv(window: MainWindow, panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

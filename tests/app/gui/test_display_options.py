@@ -132,9 +132,7 @@ def test_tip_and_tilt_are_removed_in_one_step_and_piston_is_none_to_remove(windo
     assert menu.options.removed == {2, 3}
     menu.tilt.trigger()
     assert not menu.options.removed
-    (piston,) = (each for each in menu.findChildren(QAction) if each.text().startswith("Piston"))
-    assert piston.isChecked()
-    assert not piston.isEnabled()
+    assert "Piston is not measured" in [each.text() for each in menu.findChildren(QAction)]
 
 
 def test_stored_wavefront_is_subtracted_until_it_is_cleared(window: MainWindow, qtbot: QtBot) -> None:

@@ -34,7 +34,7 @@ def opened(window: MainWindow, name: str) -> TextDialog:
 
 def test_log_keeps_notices_with_their_times(make_window: MakeWindow, tmp_path: Path) -> None:
     window = make_window()
-    window.recording_bar.use_recordings_folder(tmp_path)
+    window.recording_bar.use_folder(tmp_path)
     window.messages.warn("it is Monday")
     window.messages.warn("it is Monday")
     choose(window, "Message log…")
@@ -100,14 +100,16 @@ def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch:
 
 def test_citation_agrees_with_the_citation_file(make_window: MakeWindow) -> None:
     window = make_window()
-    choose(window, "How to cite…")
-    text = opened(window, "citation").view.toPlainText()
+    choose(window, "About svwfs…")
+    text = opened(window, "about").view.toPlainText()
     file = (ROOT / "CITATION.cff").read_text("utf-8")
     for key in ("title: Space-variant", "doi: ", "journal: "):
         value = next(line.partition(": ")[2] for line in file.splitlines() if line.strip().startswith(key))
         assert value in text.replace("{Shack-Hartmann}", "Shack-Hartmann")
     authors = re.findall(r"given-names: (\w+), family-names: (\w+)", file)
-    assert [family for _, family in authors] == re.findall(r"[A-Z]\. (\w+)", text.splitlines()[2])
+    assert [family for _, family in authors] == re.findall(
+        r"[A-Z]\. (\w+)", text[text.index("The method:") :].splitlines()[2]
+    )
     assert f"version: {version('svwfs')}" in file
 
 

@@ -72,21 +72,17 @@ def choose(window: MainWindow, title: str, text: str) -> None:
     found.aboutToHide.emit()
 
 
-def test_closed_panels_leave_a_hint(window: MainWindow) -> None:
-    hint = window.docks._hint
+def test_default_layout_brings_closed_and_floating_panels_back(window: MainWindow) -> None:
     assert layout(window)["Camera"][2]
-    assert not hint.isVisible()
     for one in window.docks.docks:
         if one.windowTitle() == "Camera":
             one.setFloating(True)
         else:
             one.close()
     layout(window)
-    assert hint.isVisible()
-    assert hint.width() > 0.9 * window.width()
     choose(window, "&View", "Restore default layout")
     assert layout(window)["Wavefronts"][2]
-    assert not hint.isVisible()
+    assert not dock(window, "Camera").isFloating()
 
 
 def test_default_layout_has_controls_beside_the_camera_and_wavefronts_at_the_right(window: MainWindow) -> None:

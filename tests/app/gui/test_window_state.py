@@ -53,7 +53,7 @@ def test_window_remembers_its_state(make_window: MakeWindow, settings: QSettings
     first.panels.coefficients.basis.setCurrentText("Legendre")
     first.panels.history.minutes.setCurrentText("10 min")
     first.panels.history.toggles[DELAY].trigger()
-    first.recording_bar.use_recordings_folder(tmp_path)
+    first.recording_bar.use_folder(tmp_path)
     QApplication.processEvents()
     first.close()
     second = make_window(saved=settings, resized=False)
