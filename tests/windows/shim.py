@@ -3,7 +3,8 @@
 Wine's ucrtbase has no functions of complex numbers, which NumPy, SciPy, h5py and Numba import from
 `api-ms-win-crt-math-l1-1-0.dll`. Wine answers that name itself, so `MATH`, of equal length, replaces it in their files:
 it has these functions, and forwards the others. Qt 6.8 imports `icuuc.dll`, whose functions may fail politely.
-pyserial must take a time-out of Wine for one.
+pyserial must take a time-out of Wine for one. Wine's clock is too fine for Dask, which refines that of Windows for
+Pythons before 3.13, and waits for ever until it stands still for some looks.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ _NO_INPUT = (
     "if win32.GetLastError() != win32.ERROR_OPERATION_ABORTED:",
     "if win32.GetLastError() not in (win32.ERROR_OPERATION_ABORTED, 1460):",
 )
+_FINE_CLOCK = "if WINDOWS and sys.version_info < (3, 13):", "if False:"
 
 # Microsoft's compiler passes a complex number as this structure. Its `long double` is a `double`.
 _BEGINNING = """
@@ -89,10 +91,13 @@ def mend(site_packages: Path, folder: Path, root: Path) -> int:
     icu = [*failing, "ucnv_open", "ucnv_getName", "ucnv_getAvailableName", "ucnv_getStandardName"]
     icu_source = _ICU_SOURCE + "".join(f"int {name}(void) {{ return 0; }}\n" for name in failing)
     _compile(root, folder, ICU, icu_source, {name: name for name in icu})
-    serial = site_packages / "serial" / "serialwin32.py"
-    serial.write_text(serial.read_text().replace(*_NO_INPUT))
-    for path in users:
-        changed = path.read_bytes().replace(f"{SYSTEMS}.dll".encode(), f"{MATH}.dll".encode())
+    for path, old, new in [
+        (site_packages / "serial" / "serialwin32.py", *_NO_INPUT),
+        (site_packages / "distributed" / "metrics.py", *_FINE_CLOCK),
+        *((path, f"{SYSTEMS}.dll", f"{MATH}.dll") for path in users),
+    ]:
+        changed = path.read_bytes().replace(old.encode(), new.encode())
+        assert new.encode() in changed, path
         path.unlink()  # it may be a link into the cache of uv
         path.write_bytes(changed)
     return len(users)
