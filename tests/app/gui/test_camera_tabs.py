@@ -204,8 +204,10 @@ def test_lenslet_is_excluded_by_hand_and_used_again(live: tuple[MainWindow, Fake
     camera, lenslet = window.panels.camera, window.panels.lenslet
     camera._view.setRange(camera._image.boundingRect())
     x, y = LATTICE.lenslet_centers_px(*LENSLETS)[3, 5]
-    at = camera._graphics.mapFromScene(camera._view.mapViewToScene(QPointF(x, y)))
-    menu_at(camera._graphics, at)["Exclude lenslet row 3, column 5, or use it again"].trigger()
+    at = camera._view.mapViewToScene(QPointF(x, y))
+    camera._graphics.scene().sigMouseMoved.emit(at)  # as the pointer does on its way
+    entries = menu_at(camera._graphics, camera._graphics.mapFromScene(at))
+    entries["Exclude lenslet row 3, column 5, or use it again"].trigger()
     qtbot.waitUntil(lambda: window.verdict.valid == "116 of 117")  # the wavefront goes on
     assert window._status is not None
     assert window._status.bench_in_force.registration.excluded == ((3, 5),)  # saved and recorded with the bench

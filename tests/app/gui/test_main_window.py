@@ -189,7 +189,7 @@ def test_compilation_after_the_reference_is_explained(
     assert messages.progress.maximum() == 0  # busy, not 100 %
     assert messages.cancel.isHidden()
     release.set()
-    qtbot.waitUntil(lambda: messages.text.text() == "Reference taken: mean of 20 frames")
+    qtbot.waitUntil(lambda: messages.text.text().startswith("Reference taken: mean of 20 frames; "))
 
 
 @pytest.mark.slow
