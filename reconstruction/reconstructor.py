@@ -170,7 +170,7 @@ class Reconstructor:
             lattice=lattice,
             field=field,
             noise=camera.noise,
-            bad=find_bad_pixels(reference, camera.dark),
+            bad=find_bad_pixels(reference, camera.dark, blur_px=sensor.blur_px),
             excluded=registration.excluded,
         )
         self.subimages, self._lenslet_model = self._cut(light), lenslet_model

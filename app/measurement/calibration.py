@@ -83,7 +83,7 @@ class Calibration:
         light = np.subtract(image, np.min(image) if dark is None else dark, dtype=np.float32)
         if (linearity := self.bench.linearity) is not None:
             light = np.asarray(linearity.light(light), np.float32)
-        bad = _bad_pixels(self.reference, self.dark)
+        bad = _bad_pixels(self.reference, self.dark, self.bench.sensor.blur_px)
         return image_transfer(repaired(light, bad) if light.shape == bad.shape else light, self.bench.sensor.blur_px)
 
     @property
@@ -133,9 +133,9 @@ def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_s
 
 
 @kept_while_alive(maxsize=4)  # each image is judged with them
-def _bad_pixels(reference: Average, dark: Average | None) -> Booleans:
+def _bad_pixels(reference: Average, dark: Average | None, blur_px: float) -> Booleans:
     """Find the bad pixels (row, column)."""
-    return find_bad_pixels(reference.mean, _dark_like(reference.mean, dark))
+    return find_bad_pixels(reference.mean, _dark_like(reference.mean, dark), blur_px=blur_px)
 
 
 def _dark_like(image: Counts, dark: Average | None) -> Counts | None:

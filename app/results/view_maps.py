@@ -92,7 +92,7 @@ def _prepared(calibration: Calibration) -> tuple[DarkSubtractor, ReferenceSubima
         sensor=calibration.bench.sensor,
         lattice=calibration.lattice,
         field=calibration.bench.field,
-        bad=find_bad_pixels(reference, calibration.dark_image),
+        bad=find_bad_pixels(reference, calibration.dark_image, blur_px=calibration.bench.sensor.blur_px),
     )
     return dark_subtractor, subimages
 

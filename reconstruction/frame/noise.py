@@ -142,29 +142,39 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     return TransferCurve(light, noise, read_variance)
 
 
-def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
-    """Estimate the noise of one image (row, column), counts above the dark, from what no optics shows.
+def beyond_optics(light: Image, blur_px: float) -> tuple[Image, float] | None:
+    """Return the part of an image (row, column) that no optics shows, and its share of all spatial frequencies.
 
     The light of lenslets holds no spatial frequency, along x or y, above the inverse of the blur: the distance at which
-    the image of a point first vanishes, wavelength times focal length over lenslet pitch. Beyond it there is only
-    noise, which is white. None if the pixels are too coarse, or the image has hardly any noise.
+    the image of a point first vanishes, wavelength times focal length over lenslet pitch. None if the pixels are too
+    coarse.
     """
     rows, columns = light.shape
     cutoff = _BEYOND / blur_px  # cycles per pixel
     x, y = (np.arange(count) / (2 * count) > cutoff for count in (columns, rows))
-    is_noise = x | y[:, None]
-    if np.mean(is_noise) < _FEWEST_FREQUENCIES:
+    is_beyond = x | y[:, None]
+    if (share := float(np.mean(is_beyond))) < _FEWEST_FREQUENCIES:
         return None
-    noise = fft.idctn(fft.dctn(light.astype(np.float64), norm="ortho") * is_noise, norm="ortho")
+    return fft.idctn(fft.dctn(light, norm="ortho") * is_beyond, norm="ortho"), share
+
+
+def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
+    """Estimate the noise of one image (row, column), counts above the dark, from what no optics shows.
+
+    There is only noise, which is white. None if the pixels are too coarse, or the image has hardly any noise.
+    """
+    if (found := beyond_optics(light.astype(np.float64), blur_px)) is None:
+        return None
+    noise, share = np.asarray(found[0], np.float64), found[1]
     smooth = ndimage.gaussian_filter(light.astype(np.float64), 1.0)  # as the filter spreads the noise
     order = np.argsort(smooth, axis=None)
     parts = np.array_split(order, _BINS)
     levels = np.array([np.mean(smooth.ravel()[part]) for part in parts])
-    variance = np.array([_typical_square(noise.ravel()[part]) for part in parts]) / np.mean(is_noise)
+    variance = np.array([_typical_square(noise.ravel()[part]) for part in parts]) / share
     if variance[-1] < (_LEAST_NOISE * levels[-1]) ** 2:
         return None
     darkest = int(np.argmin(variance))
-    independent = np.mean(is_noise) * light.size / _BINS  # pixels of a bin
+    independent = share * light.size / _BINS  # pixels of a bin
     return TransferCurve(
         levels - levels[darkest],  # stray light is not read noise
         variance,

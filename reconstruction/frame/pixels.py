@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from reconstruction.arrays import Booleans, Counts, Floats, Image
+from reconstruction.arrays import SIGMA_OF_MEDIAN, Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity import LINEAR, Linearity
-from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
+from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise, beyond_optics
 from reconstruction.runtime.compilation import compiled, inlined
 from reconstruction.runtime.opencv import cv2
 
@@ -208,10 +208,13 @@ _NEIGHBOURS = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], np.uint8)
 _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16 pixels around the neighbours
 
 
-def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None) -> Booleans:
+def find_bad_pixels(
+    reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None, *, blur_px: float
+) -> Booleans:
     """Find dead and hot pixels in a reference, and its dark, (row, column), counts: bool (row, column).
 
-    Conservative: a pixel is bad only if neither a diffraction-limited image nor noise can explain it.
+    What stays on the sensor would match at no displacement. Conservative: a pixel is bad only if neither a
+    diffraction-limited image of this blur nor noise can explain it.
     """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
     background, peak = np.percentile(light, (BACKGROUND_PERCENT, PEAK_PERCENT))
@@ -228,7 +231,38 @@ def find_bad_pixels(reference: NDArray[np.generic], dark: NDArray[np.generic] | 
         excess = np.asarray(dark, np.float64) - cv2.medianBlur(around, 5)[2:-2, 2:-2]
         hot = excess > max(_HOT_IN_DARK * peak, _OUTSTANDING * np.percentile(excess, PEAK_PERCENT))
         bad |= hot & _stands_out(excess, hot)
-    return np.asarray(bad)
+    return _with_outliers(light.astype(np.float32), np.asarray(bad), blur_px)
+
+
+_OUTLIER = 0.08  # least deviation of an outlier over the peak ...
+_ALONE = 2.5  # ... and over the RMS of those around it
+_PASSES, _STEP = 12, np.float32(1.5)  # below 2 each step converges
+
+
+def _with_outliers(light: Image, bad: Booleans, blur_px: float) -> Booleans:
+    """Add the pixels that deviate from any image that optics can show, (row, column), the strongest ones first.
+
+    A pixel's deviation also shows in its neighbours. So it is taken away before the others are looked at again, as in
+    CLEAN (J. A. Hogbom, Astron. Astrophys. Suppl. 15, 417, 1974).
+    """
+    smooth = cv2.medianBlur(light, 3)
+    dark, peak = np.percentile(smooth, (BACKGROUND_PERCENT, PEAK_PERCENT))
+    bright = smooth > (dark + peak) / 2
+    light = np.where(bad, smooth, light)
+    for _ in range(_PASSES):
+        if (found := beyond_optics(light, blur_px)) is None:
+            break
+        deviation = found[0] / np.float32(found[1])
+        size = np.abs(deviation)
+        least = max(_OUTLIER * (peak - dark), _SIGNIFICANT * SIGMA_OF_MEDIAN * np.median(size[bright]))
+        around = np.sqrt(ndimage.correlate(size**2, _FURTHER / np.float32(np.count_nonzero(_FURTHER)), mode="constant"))
+        size[bad] = 0
+        new = (size > least) & (size > _ALONE * around) & (size == cv2.dilate(size, np.ones((3, 3), np.uint8)))
+        if not new.any():
+            break
+        light = light - np.where(new, deviation, _STEP * found[0] * bad)
+        bad = bad | new
+    return bad
 
 
 def _stands_out(image: Floats, some: Booleans) -> Booleans:

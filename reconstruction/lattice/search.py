@@ -115,7 +115,7 @@ def _surveyed(
     if not _may_show(light, pitch_px, sensor.arrangement):
         raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
     progress("searching for bad pixels", 0.1)
-    light = repaired(light, find_bad_pixels(reference, dark))
+    light = repaired(light, find_bad_pixels(reference, dark, blur_px=sensor.blur_px))
     progress("fitting the lattice", 0.25)
     fit, why = _fitted(light, sensor, pitch_px)
     for tried, factor in enumerate(_OTHER_PITCHES, 1):
