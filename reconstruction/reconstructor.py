@@ -12,7 +12,8 @@ import numpy as np
 from reconstruction.arrays import Counts, Floats, Image
 from reconstruction.displacement import SYSTEMATIC_PX, Displacement, LensletStatus, LensletStatuses, RegistrationMethod
 from reconstruction.errors import ReconstructionError, TooManyModes
-from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, DarkSubtractor, KnownCamera, find_bad_pixels
+from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, DarkSubtractor, KnownCamera
 from reconstruction.geometry import Field, Lattice, Sensor
 from reconstruction.layers.layer_search import search_layers, systematic_misfit
 from reconstruction.layers.layer_solver import FrameEquations, LayerModes, LayerSolver

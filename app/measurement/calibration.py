@@ -17,8 +17,9 @@ from app.bench.imaging_model import lenslet_model
 from app.cache import kept_while_alive
 from app.measurement.averages import Average
 from reconstruction.arrays import Booleans, Counts
+from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer, photon_transfer
-from reconstruction.frame.pixels import KnownCamera, find_bad_pixels, repaired
+from reconstruction.frame.pixels import KnownCamera
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
 from reconstruction.quality.verdict import Fault, Quality

@@ -14,7 +14,8 @@ from app.results.run_summary import noise_above_rms, rms_over_lenslets
 from reconstruction.arrays import Floats, Image
 from reconstruction.displacement import Displacement, LensletStatus, field_means
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import DarkSubtractor, find_bad_pixels
+from reconstruction.frame.bad_pixels import find_bad_pixels
+from reconstruction.frame.pixels import DarkSubtractor
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Sensor
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes

@@ -13,7 +13,8 @@ from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.frame.pixels import find_bad_pixels, repaired, require_unsaturated
+from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
+from reconstruction.frame.pixels import require_unsaturated
 from reconstruction.geometry import Arrangement, Lattice, Sensor, lenslet_centers, nominal_lattice
 from reconstruction.lattice._fit import (
     REACH,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import CovarianceSource, Displacement, LensletStatus
 from reconstruction.errors import ReconstructionError, UnusableSettings
+from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
-from reconstruction.frame.pixels import repaired
 from reconstruction.frame.spline import interpolate, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes

@@ -23,7 +23,7 @@ import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import TRANSMISSION_MODES, Displacement, LensletStatus, Transmission
-from reconstruction.frame.pixels import repaired
+from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.spline import noise_power, noise_power_polynomial, shared_coefficients
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis, orthogonal_modes

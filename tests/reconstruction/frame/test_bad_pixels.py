@@ -9,7 +9,7 @@ from support.optics import SmallBench
 from support.paths import FOREIGN_FRAMES
 
 from reconstruction.arrays import Floats, Image
-from reconstruction.frame.pixels import find_bad_pixels, repaired
+from reconstruction.frame.bad_pixels import find_bad_pixels, repaired
 from simulated_devices.optics.source import source_points, stars
 from simulated_devices.settings import Source
 
