@@ -54,8 +54,7 @@ def ask_file(parent: QWidget, title: str, proposed: str, kinds: str, *also: str)
     path, suffix = Path(name), Path(proposed).suffix
     if f"*{path.suffix.lower()}" not in re.split(r"[ ()]", kinds):
         if path.suffix.strip(".0123456789"):  # of another kind; ".5" ends a number
-            why = f"{path.name}: {path.suffix} does not fit the format. End the name with {suffix}."
-            QMessageBox.warning(parent, "svwfs", why)
+            QMessageBox.warning(parent, "svwfs", f"{path.name}: the name must end with {suffix}")
             return None
         path = path.with_name(f"{path.name}{suffix}")
     existing = [one.name for one in (path, *map(path.with_suffix, also)) if answer(one.exists, otherwise=True)]

@@ -84,7 +84,7 @@ def test_names_with_numbers_stay_apart_and_other_suffixes_are_refused(
     refused = list[str]()
     monkeypatch.setattr(QMessageBox, "warning", lambda _parent, _title, why: refused.append(why))
     export(window, monkeypatch, tmp_path / "shown.csv")
-    assert refused == ["shown.csv: .csv does not fit the format. End the name with .png."]
+    assert refused == ["shown.csv: the name must end with .png"]
     files = {f"tilt_0.{tenths}.{kind}" for tenths in (5, 7) for kind in ("png", "nc")}
     assert {path.name for path in tmp_path.iterdir()} == files
 
