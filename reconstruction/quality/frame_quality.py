@@ -71,6 +71,7 @@ _UNEVEN = 2.0  # factor by which the light of a lenslet, over that of most, may 
 _DIM = 0.01  # of the reference's light; below, what remains may be stray light
 _STRAY = 0.006  # rise of stray light from lenslet to lenslet, over the brightest; it adds 0.03 rad
 _STRAY_SHARE = 0.03  # the same per px of deformation: subimages that grow across the pupil fill their gaps
+_SPOTS, _SPOTS_SHARE = 0.012, 0.01  # the same for its RMS change between neighbours, and per px of their displacements
 _STEP_PX = 2  # between the pixels that are looked at, along each axis; 1 where a point's image is narrower
 _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which deformation is taken
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
@@ -185,9 +186,7 @@ class QualityChecker:
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
-        elif (rise := self._stray.rise(added)) > _STRAY and rise > math.hypot(
-            _STRAY, _STRAY_SHARE * self._sizes_px(displacement)[0]
-        ):
+        elif (rise := self._stray_light(added, displacement)) > 0:
             change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
             yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: keep it off the camera"
         else:
@@ -201,6 +200,16 @@ class QualityChecker:
         clipped = clipped_fraction(counts, scatter=scatter, read_noise=read_noise)
         if clipped > CLIPPED:
             yield Fault.CLIPPED, f"{100 * clipped:.0f} % of the pixels are clipped: {TOO_BRIGHT}"
+
+    def _stray_light(self, added: Floats, displacement: Displacement) -> float:
+        """Rise of stray light from lenslet to lenslet, over the brightest; 0 if a wavefront may explain it."""
+        rise, spots = self._stray.rise(added), self._stray.spots(added)
+        if rise <= _STRAY and spots <= _SPOTS:
+            return 0.0
+        deformation_px, spread_px = self._sizes_px(displacement)
+        share = _STRAY_SHARE * deformation_px
+        is_spotted = spots > math.hypot(_SPOTS, share, _SPOTS_SHARE * spread_px)
+        return max(rise * (rise > math.hypot(_STRAY, share)), spots * is_spotted)
 
     def _collected(self, frame: Counts) -> tuple[Counts, float, Floats, Floats]:
         """Counts of the samples, the brightest signal, and sums over lit lenslets: light, and excess in the gaps."""
@@ -344,6 +353,7 @@ def propagation_faults(
 _GAP = 0.1  # of the brightest; darker samples lie between the openings
 _FEWEST_SAMPLES, _FEWEST_LENSLETS = 4, 9
 _PLANE = 3  # terms
+_NEAR = 1.1  # pitches between neighbours
 
 
 class StrayLight:
@@ -370,6 +380,8 @@ class StrayLight:
         self._plane = np.column_stack([place, np.ones(len(place))])
         self._is_measured = len(place) >= _FEWEST_LENSLETS and np.linalg.matrix_rank(self._plane) == _PLANE
         self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
+        near = np.hypot(*np.swapaxes(place[:, None] - place, 0, 2)) < _NEAR
+        self._neighbours = np.argwhere(np.triu(near, 1))  # (pair, 2)
 
     def rise(self, added: Floats) -> float:
         """Rise per pitch of a frame beyond chance, over the brightest; 0 if unknown.
@@ -385,3 +397,10 @@ class StrayLight:
         scatter = float(np.sum((added - self._plane @ plane) ** 2)) / (len(added) - _PLANE)
         error = math.sqrt(scatter * float(np.max(np.sum(self._inverse[:2] ** 2, axis=1))))
         return max(math.hypot(*plane[:2]) - _CERTAIN * error, 0.0) / self._brightest
+
+    def spots(self, added: Floats) -> float:
+        """RMS change between neighbouring lenslets, over the brightest; 0 if unknown. `added` as above."""
+        if not len(self._neighbours):
+            return 0.0
+        one, other = (added[self._lenslets] / self._samples)[self._neighbours].T
+        return math.sqrt(float(np.mean((one - other) ** 2))) / self._brightest

@@ -193,6 +193,15 @@ def test_uneven_dimming_is_found_but_even_dimming_is_not() -> None:
     assert verdict("cubic", 1e4, uneven).faults == Fault.ILLUMINATION
 
 
+def test_spot_of_stray_light_is_found() -> None:
+    """A third of the brightest pixels, as wide as a lenslet."""
+    light = aberrated(1.0)
+    row, column = np.indices(light.shape)
+    spot = 0.3 * np.exp(-((row - 90) ** 2 + (column - 110) ** 2) / (2 * 30.0**2)).astype(np.float32)
+    found = verdict("cubic", 1e4, light + spot)
+    assert "stray light rises across the frame" in found.reasons[Fault.ILLUMINATION]
+
+
 @pytest.mark.parametrize("form", ["<u2", ">u2", "i4", "i8", "f4", "g"])
 def test_light_is_judged_without_a_dark_in_each_form(form: str) -> None:
     light, offset = aberrated(1.0), 400.0

@@ -56,3 +56,12 @@ def test_rise_is_unknown_with_few_lenslets_or_those_of_one_row() -> None:
     for lit in (np.indices((ROWS, COLUMNS))[0] == 2, np.indices((ROWS, COLUMNS)).sum(axis=0) < 3):
         stray, _, place = prepared(lit=lit)
         assert math.isclose(rise(stray, place @ (30.0, 0.0)), 0)
+
+
+def test_spots_are_the_change_between_neighbours() -> None:
+    """Light that alternates by 30 counts, and a plane of 3 counts per pitch along x."""
+    stray, frame, place = prepared()
+    alternating = 15.0 * np.where(np.sum(np.rint(place - place.min(axis=0)), axis=1) % 2, 1, -1)
+    for added, change in ((alternating, 30 / BRIGHTEST), (np.full(frame.shape, 40.0), 0.0)):
+        sums = np.sum(added.reshape(stray.gaps.shape), axis=1, where=stray.gaps)
+        assert stray.spots(sums) == pytest.approx(change, abs=1e-12)
