@@ -96,6 +96,7 @@ class Displacement:
     transmission_source: Transmission | Deferred[Transmission | None] | None = (
         None  # None: the method does not measure it
     )
+    absorbs: bool = False  # whether as much brightness was taken out as behind a sample that absorbs
 
     @property
     def covariance(self) -> Floats:

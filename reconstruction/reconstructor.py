@@ -63,6 +63,10 @@ _READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so s
 _SPARSE = 4  # every fourth row and column is sampled
 _CERTAIN = 5.0  # standard errors, which chance does not reach in a million frames
 _MORE = 1.5  # contradiction of a sample by other frames over that by the one in which it was found
+_LINEAR = 3  # terms of a brightness that count as no displacement of any sample
+# RMS quadratic brightness over the field, beyond noise: clear samples of any depth have 0.0025 to 0.0033, one with 8 %
+# RMS of absorption 0.028.
+_ABSORBS, _STILL_ABSORBS = 0.006, 0.005
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
 NOISE_MODES = 45  # pupil modes for which noise is predicted; a smooth wavefront needs about as many
 # Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
@@ -133,6 +137,8 @@ class Reconstructor:
     lenslet_model : callable, optional
         Returns a model of one lenslet for the reference's subimages. With it, the registration knows how a brightness
         that varies over the field looks, and the modal reconstruction uses its response in place of mean gradients.
+    absorbs : bool
+        Prepare for a sample that absorbs; `absorbing` does so when a frame shows one.
 
     Raises
     ------
@@ -152,7 +158,20 @@ class Reconstructor:
         camera: KnownCamera = UNKNOWN_CAMERA,
         own: OwnMethods = NO_OWN,
         lenslet_model: Callable[[ReferenceSubimages], LensletModel] | None = None,
+        absorbs: bool = False,
     ) -> None:
+        self._absorbs = absorbs
+        self._again = partial(
+            Reconstructor,
+            reference,
+            sensor=sensor,
+            lattice=lattice,
+            field=field,
+            reconstruction=reconstruction,
+            camera=camera,
+            own=own,
+            lenslet_model=lenslet_model,
+        )
         self.frame_shape = reference.shape[0], reference.shape[-1]  # `DarkSubtractor` checks that there are no more
         self._dark_subtractor = DarkSubtractor(self.frame_shape, camera)
         self.sensor, self.lattice, self.field, self.camera = sensor, lattice, field, camera
@@ -204,13 +223,50 @@ class Reconstructor:
             displacement = self.register(frame)
             return self.solve(displacement, sample=self.find_sample(displacement))
 
-    def register(self, frame: Counts, *, start: Displacement | None = None) -> Displacement:
+    @property
+    def _may_absorb(self) -> bool:
+        """True if more of the brightness can be taken out: its shape and the noise are known."""
+        return self.brightness_terms > 1 and self.noise is not None and self._model[0] is not None
+
+    @cached_property
+    def absorbing(self) -> "Reconstructor":
+        """The same for samples that absorb: more of a brightness over the field counts as no displacement."""
+        return self._again(registration=self.registration, absorbs=True) if self._may_absorb else self
+
+    def _of(self, displacement: Displacement) -> "Reconstructor":
+        """The one by which a frame was registered."""
+        return self.absorbing if displacement.absorbs and not self._absorbs else self
+
+    def shows_absorption(self, displacement: Displacement) -> bool:
+        """True if the brightness of the subimages varies more over the field than that of a clear sample.
+
+        A linear brightness is no displacement anyway; the quadratic part tells.
+        """
+        found = displacement.transmission if self._may_absorb else None
+        if found is None:
+            return False
+        terms = found.coefficients[..., _LINEAR:]
+        variance = np.einsum("...ii->...i", found.covariance)[..., _LINEAR:]
+        known = np.isfinite(terms) & np.isfinite(variance)
+        if not known.any():
+            return False
+        of_noise = float(np.mean(variance[known]))
+        by_chance = _CERTAIN * math.sqrt(2 / np.count_nonzero(known)) * of_noise
+        least = _STILL_ABSORBS if displacement.absorbs else _ABSORBS
+        return float(np.mean(terms[known] ** 2)) - of_noise > least**2 + by_chance
+
+    def register(
+        self, frame: Counts, *, start: Displacement | None = None, absorbs: bool | None = None
+    ) -> Displacement:
         """Measure the displacement of each subimage of a frame (row, column), counts, from the reference.
 
-        `start`, of an earlier frame, saves time and changes the result by far less than its error.
+        `start`, of an earlier frame, saves time and changes the result by far less than its error. The frame shows
+        whether the sample `absorbs`, unless that is given.
         `ReconstructionError` if fewer than two lenslets match the reference, or the frame has the wrong size or is
         saturated.
         """
+        if absorbs and not self._absorbs and self._may_absorb:
+            return self.absorbing.register(frame, start=start)
         light, saturated = self._dark_subtractor(frame, "frame")
         least, most = self._no_light
         if least < light[::_SPARSE, ::_SPARSE].std(dtype=np.float64) < most:  # each lenslet would take longest
@@ -220,6 +276,8 @@ class Reconstructor:
             is_dark = light.std(dtype=np.float64) < self._dark_contrast
             why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
             raise ReconstructionError(f"{_NO_MATCH}: {why}", image="frame")
+        if absorbs is None and not self._absorbs and self.shows_absorption(displacement):
+            return self.absorbing.register(frame, start=displacement)
         return displacement
 
     def find_sample(self, displacement: Displacement) -> AssumedSample:
@@ -257,6 +315,8 @@ class Reconstructor:
 
         `bias` (lenslet_row, lenslet_column, field_mode, xy), px, a known systematic error, is subtracted first.
         """
+        if (made := self._of(displacement)) is not self:
+            return made.solve(displacement, bias=bias, sample=sample)
         try:
             return self._solve(displacement if bias is None else displacement.minus(bias), sample)
         except ReconstructionError as error:
@@ -287,6 +347,8 @@ class Reconstructor:
         It is the larger of two. A shift of the layers explains the rest of the displacements better, in `_CERTAIN`
         standard errors. Any wavefront explains more of the displacements, in misfits that a search accepts.
         """
+        if (made := self._of(wavefront.displacement)) is not self:
+            return made.contradiction(wavefront)
         solution, is_blind = wavefront.solution, self.hidden > 0
         if not isinstance(solution, ModalSolution) or solution.shift_sigmas is None:
             return 0.0
@@ -326,6 +388,8 @@ class Reconstructor:
 
     def layers(self, displacement: Displacement) -> FrameEquations:
         """A frame's displacements, to which layers at any distance can be fitted."""
+        if (made := self._of(displacement)) is not self:
+            return made.layers(displacement)
         return FrameEquations(self._layered.solver, displacement, self.weights_of(displacement))
 
     @cached_property
@@ -340,7 +404,8 @@ class Reconstructor:
         if own is None:
             # What more terms of the brightness cost is known from the noise only.
             needs_model = settings.fits_warps and self.noise and not self.field.neglect_propagation
-            return prepare_registration(reference, settings, self.field, self._model[0] if needs_model else None)
+            model = self._model[0] if needs_model else None
+            return prepare_registration(reference, settings, self.field, model, absorbs=self._absorbs)
         method: RegistrationMethod = _called("an own registration", None, own, reference, self.field)
         return method
 

@@ -8,6 +8,7 @@ be coarse. A round is kept if it brings the modelled displacements closer to the
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -71,9 +72,15 @@ class Refinement:
         self._unsaturated = np.zeros(reference.shape, np.bool_)
         self._grids = Remembered[PupilGrid](2)
 
+    @cached_property
+    def _absorbing(self) -> "Refinement":
+        return Refinement(self._reconstructor.absorbing, self._model)
+
     def bias(self, wavefront: Wavefront) -> Bias:
         """Find the bias at a wavefront: one rendered image and its registration."""
         reconstructor, displacement, solution = self._reconstructor, wavefront.displacement, wavefront.solution
+        if displacement.absorbs and reconstructor.absorbing is not reconstructor:
+            return self._absorbing.bias(wavefront)
         if not (wavefront.sample.ratios and isinstance(solution, ModalSolution)):
             solution = reconstructor.smooth(displacement, weights=reconstructor.weights_of(displacement))
         modes = displacement.modes

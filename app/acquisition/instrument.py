@@ -416,7 +416,8 @@ class Instrument:
         if self._estimator is None or self._solver is None:
             return Measurement(frame, None, self._problem)
         solve = partial(self._solver.solve, time_s=frame.camera_time_s)
-        made = self._estimator.measure(frame, solve, self._timings, start=self._before, previous=previous)
+        start, absorbs = self._before, self._solver.absorbs
+        made = self._estimator.measure(frame, solve, self._timings, start=start, absorbs=absorbs, previous=previous)
         self._before = made.registered or self._before
         if made.wavefront is None or not self._search_problem:
             return made

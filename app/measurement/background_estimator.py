@@ -208,6 +208,7 @@ class LiveEstimator:
         self._wavefronts: tuple[Wavefront, Wavefront] | None = None  # the newest, and the one before
         self._searched: Wavefront | None = None  # since which nothing has changed, or the last one that was searched
         self._found = Found(None if searches else FREE)
+        self.absorbs: bool | None = None  # whether the sample does; None: each frame shows it
         self._something_new, self._closing = threading.Event(), threading.Event()
         self._is_refused = False  # by the reference; then the process ends
         self.has_background_estimator = searches or self._refines
@@ -301,6 +302,7 @@ class LiveEstimator:
                         self._searched = self._wavefronts[0]
                     found = background_estimator.find(newest._replace(is_still=is_still))
                     self._use(found, newest)
+                    self._look_for_absorption(newest.measured)
                     work_s = min(time.monotonic() - begin_s, _CORRECTION_REST_S)
                     self._rest(work_s if self._refines else max(work_s, found.rest_s), max(work_s, found.idle_s))
         except ReconstructionError as error:
@@ -332,6 +334,14 @@ class LiveEstimator:
                 self._reconstructor.contradicts(made)
                 made.sigma()
         self._found = found
+
+    def _look_for_absorption(self, measured: Displacement) -> None:
+        """Find whether the frames that follow are registered as behind a sample that absorbs; first prepare that."""
+        absorbs = self._reconstructor.shows_absorption(measured)
+        if absorbs != measured.absorbs:
+            self._found = self._found._replace(bias=None)  # that of the other way to register
+            _ = self._reconstructor.absorbing
+        self.absorbs = absorbs
 
     def _rest(self, at_least_s: float, at_most_s: float) -> None:
         """Wait until something changes, and no longer if frames lack a sample or correction that could be found."""

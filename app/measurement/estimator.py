@@ -135,15 +135,17 @@ class Estimator:
         timings: Timings,
         *,
         start: Displacement | None = None,
+        absorbs: bool | None = None,
         previous: Frame | None = None,
     ) -> Measurement:
         """Register, solve and judge a frame, or say why that is impossible.
 
-        `start` is the displacement of an earlier frame, `previous` the frame before this one.
+        `start` is the displacement of an earlier frame, `previous` the frame before this one. The frame shows whether
+        the sample `absorbs`, unless that is given.
         """
         try:
             with timings.of("register"):
-                registered = self.reconstructor.register(frame.pixels, start=start)
+                registered = self.reconstructor.register(frame.pixels, start=start, absorbs=absorbs)
             with timings.of("reconstruct"):
                 wavefront, assumed = solve(registered)
                 quality = self.quality(frame.pixels, wavefront.displacement) | _beside(previous, frame)

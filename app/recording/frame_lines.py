@@ -58,6 +58,7 @@ class FrameLine:
     crc32: str | None = None  # `checksum` of the pixels; None before version 0.3
     gap_s: float = 0.0  # for which the camera stood just before this frame
     gap_cause: str = ""
+    absorbs: bool | None = None  # whether it was registered as behind a sample that absorbs; None: not registered
 
     def to_json(self) -> str:
         """Return the line without its newline."""

@@ -92,6 +92,7 @@ class Reprocessing:
                     partial(self._solve, in_force, line, sample),
                     self._timings,
                     start=start,
+                    absorbs=line.absorbs if in_force.registers_as_recorded else None,
                     previous=previous[1] if previous is not None and follows else None,
                 )
                 before, previous = made.registered or before, (index, frame)

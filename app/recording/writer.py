@@ -53,6 +53,7 @@ class Record:
     coefficients: Floats | None = None  # rad, (pupil_mode, field_mode)
     rms_rad: float = math.nan  # of the wavefront, mean over the views, which themselves are not recorded
     valid: int | None = None
+    absorbs: bool | None = None
 
     @classmethod
     def of(cls, measurement: Measurement) -> Record:
@@ -64,6 +65,7 @@ class Record:
             coefficients=None if wavefront is None else wavefront.coefficients,
             rms_rad=math.nan if wavefront is None else mean_rms(wavefront.views),
             valid=None if registered is None else int(np.count_nonzero(registered.valid)),
+            absorbs=None if registered is None else registered.absorbs,
         )
 
     @property
@@ -97,6 +99,7 @@ class Record:
             crc32=checksum(frame.pixels),
             gap_s=0.0 if gap is None else gap.seconds,
             gap_cause="" if gap is None else gap.cause,
+            absorbs=self.absorbs,
         )
 
 

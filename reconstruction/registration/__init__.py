@@ -13,11 +13,17 @@ _MODULES = {"correlation_fft": "correlation"}  # of the other methods, the modul
 
 
 def prepare_registration(
-    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None = None
+    reference: ReferenceSubimages,
+    settings: RegistrationSettings,
+    field: Field,
+    model: LensletModel | None = None,
+    *,
+    absorbs: bool = False,
 ) -> RegistrationMethod:
     """Prepare the method of the settings for one reference: `prepare` of the module of its name.
 
-    `model` is that of the reference's lenslets, if there is one that fits.
+    `model` is that of the reference's lenslets, if there is one that fits, which the method `gauss_newton` uses behind
+    a sample that `absorbs`.
     """
     method = settings.method
     if method not in get_args(Method):
@@ -26,4 +32,5 @@ def prepare_registration(
             " registration.method, for example to gauss_newton"
         )
     module = import_module(f"{__name__}.{_MODULES.get(method, method)}")
-    return cast("RegistrationMethod", module.prepare(reference, settings, field, model))
+    of_sample = {"absorbs": True} if absorbs else {}
+    return cast("RegistrationMethod", module.prepare(reference, settings, field, model, **of_sample))

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from app.acquisition.serialization import unpacked
-from app.acquisition.streams.messages import DETAILS, OF_LENSLETS, OwnFrame
+from app.acquisition.streams.messages import DETAILS, OF_DISPLACEMENT, OwnFrame
 from app.acquisition.streams.ring import RingReader
 from app.errors import RunError
 from app.measurement.calibration import Calibration
@@ -154,7 +154,7 @@ def _with_wavefront(
 ) -> Measurement:
     """Return a measurement with its displacements and wavefront, whose costly parts are asked for when needed."""
     calibration: Calibration = shared["calibration"]
-    solved_here = Deferred(lambda: replace(made, wavefront=_solved_here(made, calibration)))
+    solved_here = Deferred(lambda: replace(made, wavefront=_solved_here(made, calibration, absorbs=arrays["absorbs"])))
 
     def detail(name: str) -> Deferred[Any]:
         def find() -> Any:
@@ -170,7 +170,7 @@ def _with_wavefront(
         shared["field_modes"],
         arrays["displacement"],
         detail("covariance"),
-        **{name: arrays[name] for name in OF_LENSLETS},
+        **{name: arrays[name] for name in OF_DISPLACEMENT},
         transmission_source=detail("transmission"),
     )
     displacement = registered if bias is None else registered.minus(bias)
@@ -202,9 +202,10 @@ def _known(modes: PupilModes, lenslets: bytes) -> KnownModes:
     return known_modes(modes, np.frombuffer(lenslets, np.bool_).reshape(modes.inside.shape), extrapolate=False)
 
 
-def _solved_here(made: Measurement, calibration: Calibration) -> Wavefront:
+def _solved_here(made: Measurement, calibration: Calibration, *, absorbs: bool) -> Wavefront:
     """Register and solve a frame again; the estimator of its calibration is prepared first, which takes seconds."""
     bias, sample = made.assumed.refinement.bias, made.assumed.sample or FREE
     with one_blas_thread():
         reconstructor = calibration.reconstructor()
-        return reconstructor.solve(reconstructor.register(made.frame.pixels), bias=bias, sample=sample)
+        displacement = reconstructor.register(made.frame.pixels, absorbs=absorbs)
+        return reconstructor.solve(displacement, bias=bias, sample=sample)

@@ -29,7 +29,7 @@ _VIEW = ("view_row", "view_column")
 _LENSLET = ("lenslet_row", "lenslet_column")
 _MODES = ("pupil_mode", "field_mode")
 _VECTORS = (*_LENSLET, "field_mode", "xy")
-OF_LENSLETS = ("outcome", "residual_rms", "chi_square", "range_used")
+OF_DISPLACEMENT = ("outcome", "residual_rms", "chi_square", "range_used", "absorbs")
 OF_MODAL_SOLUTION = ("coefficients", "known", "freedom", "noise")
 SHARED: dict[str, Callable[[Any], Any]] = {
     "calibration": lambda made: made.calibration,
@@ -64,7 +64,7 @@ def own_frame(measurement: Measurement, shared: dict[str, int], *, is_shown_only
     wavefront, registered, arrays = measurement.wavefront, measurement.registered, dict[str, Any]()
     if wavefront is not None and registered is not None:
         solution = wavefront.solution
-        arrays = {name: getattr(registered, name) for name in OF_LENSLETS}
+        arrays = {name: getattr(registered, name) for name in OF_DISPLACEMENT}
         arrays |= {"wavefront": wavefront.views, "displacement": registered.coefficients}
         if isinstance(solution, ModalSolution):
             arrays |= {name: getattr(solution, name) for name in OF_MODAL_SOLUTION}

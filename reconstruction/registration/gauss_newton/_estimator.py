@@ -41,6 +41,7 @@ from reconstruction.registration.gauss_newton._template import (
     LINEAR_TERMS,
     SteepestDescent,
     Template,
+    absorption_terms,
     coefficient_covariance,
     prepare_search,
     prepare_template,
@@ -167,7 +168,12 @@ _LEAST_INFORMATION = 0.75  # of a lenslet's pixels; with less it is lost
 
 
 def prepare(
-    reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, model: LensletModel | None
+    reference: ReferenceSubimages,
+    settings: RegistrationSettings,
+    field: Field,
+    model: LensletModel | None,
+    *,
+    absorbs: bool = False,
 ) -> WarpRegistration:
     """Prepare the method `gauss_newton` with the warp of the settings."""
     modes = orthogonal_modes(field, FIELD_MODES[settings.warp or "quadratic"])
@@ -177,6 +183,7 @@ def prepare(
         conserve_flux=field.neglect_propagation,
         may_rotate=settings.rotation,
         model=model,
+        absorbs=absorbs,
         threads=settings.threads,
     )
 
@@ -192,11 +199,13 @@ class GaussNewton:
         conserve_flux: bool,
         may_rotate: bool,
         model: LensletModel | None = None,
+        absorbs: bool = False,
         threads: int = THREADS,
     ) -> None:
         """Prepare for warps of the given field modes, and for that many threads.
 
-        With a `model` of the lenslets, more of the brightness over the field is no displacement: `source_brightness`.
+        A `model` of the lenslets tells how a brightness over the field looks. More of it is no displacement behind a
+        sample that `absorbs`; of other samples with depth, that would take a part of the displacements.
         """
         self.reference, self.modes, self._threads = reference, modes, threads
         near = np.abs(reference.steps_px) <= reference.half_width_px + _MARGIN_BLURS * reference.blur_px
@@ -208,14 +217,18 @@ class GaussNewton:
         basis, self.alike, pixels = visible_warp(
             reference, modes, np.outer(near, near), conserve_flux=conserve_flux, may_rotate=may_rotate
         )
-        brightness = None
+        brightness, terms = None, LINEAR_TERMS
         if model is not None and not conserve_flux:
-            brightness = source_brightness(model, reference, modes, pixels, basis)
-        images = SteepestDescent(reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness)
+            brightness = source_brightness(model)
+            terms = absorption_terms(brightness, reference, modes, pixels, basis) if absorbs else terms
+        images = SteepestDescent(
+            reference, modes, pixels, basis, conserve_flux=conserve_flux, brightness=brightness, terms=terms
+        )
+        self.absorbs = absorbs and brightness is not None
         self._warp = prepare_template(images, reference.noise)
         self.parameters = self._warp.grid.basis.astype(np.float64)  # orthonormal rows, as the compiled fit has them
         self.hidden = (2 * modes.count if may_rotate else len(gradient_basis(modes))) - len(self.parameters)
-        self.brightness_terms = LINEAR_TERMS if brightness is None else len(brightness)
+        self.brightness_terms = terms
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
         self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
@@ -263,6 +276,7 @@ class GaussNewton:
             displacement,
             chi_square=np.where(valid, chi_square.reshape(valid.shape), np.nan),
             transmission_source=Deferred(lambda: self._transmission(fits, covariance.variance, valid)),
+            absorbs=self.absorbs,
         )
 
     def _transmission(self, fits: Fits, variance: Floats, valid: Booleans) -> Transmission:

@@ -33,7 +33,7 @@ from reconstruction.runtime.threads import in_threads
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
 # scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is 1.4 times
 # as large, although the scatter is smaller.
-_MODEL_ERROR = 0.02
+_MODEL_ERROR = 0.06
 _NOTHING = 1e-12  # share of a lenslet's information that is none; keeps a division from one by zero
 LINEAR_TERMS, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
@@ -95,21 +95,21 @@ class SteepestDescent:
         *,
         conserve_flux: bool,
         brightness: Floats | None = None,
+        terms: int = LINEAR_TERMS,
     ) -> None:
         """Prepare displacements (x modes, y modes), the rows of `basis` (P - 2, 2Q), on pixels (width, width).
 
-        `brightness`: see `source_brightness`.
+        The first `terms` of a brightness over the field are no displacement; `brightness`: see `source_brightness`.
         """
         self.reference, self.modes, self.pixels, self.basis = reference, modes, pixels, basis
         self.conserves_flux, self.source_brightness = conserve_flux, brightness
         u, v = reference.offset_px[pixels.ravel()].T / reference.half_width_px
         self._values = modes.values(u, v)
-        count = LINEAR_TERMS if brightness is None else len(brightness)
-        self._over_field = LegendreModes(max(count, TRANSMISSION_MODES.count)).values(u, v)
-        self._nuisance = slice(1, count)
+        self._over_field = LegendreModes(max(terms, TRANSMISSION_MODES.count)).values(u, v)
+        self._nuisance = slice(1, terms)
         self._image, self._blurred = np.ones_like(u), np.zeros_like(self._over_field)
         if brightness is not None:
-            self._image, self._blurred = brightness[0, pixels], brightness[:, pixels]
+            self._image, self._blurred = brightness[0, pixels], brightness[: len(self._over_field), pixels]
             self._blurred -= self._over_field * self._image
         self._slopes = modes.gradients(u, v) / reference.half_width_px * conserve_flux
 
@@ -146,37 +146,43 @@ class SteepestDescent:
         return np.asarray(light[:, None] * self._over_field + share[:, None, None] * self._blurred)
 
 
-def source_brightness(
-    model: LensletModel, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, basis: Floats
-) -> Floats | None:
-    """Images of the source times Legendre polynomials over the field, (mode, row, column).
+def source_brightness(model: LensletModel) -> Floats:
+    """Images of the source times cubic Legendre polynomials over the field, (mode, row, column).
 
     They are blurred after they are multiplied: a subimage times a brightness that grows by the share b per px would be
-    one that is displaced by b times the square of the blur's width. Of quadratic and cubic polynomials, those with the
-    less expected error of the displacements in the rows of `basis`, on `pixels` (width, width). None if the noise,
-    which decides, is unknown.
+    one that is displaced by b times the square of the blur's width.
+    """
+    images = np.stack([model.image(values) for values in _CUBIC.values(*model.position.T)])
+    blur, _ = mean_interpolation(images.shape[-1])
+    return np.asarray(blur @ images @ blur.T)  # interpolated like the subimages
+
+
+def absorption_terms(
+    brightness: Floats, reference: ReferenceSubimages, modes: PolynomialModes, pixels: Booleans, basis: Floats
+) -> int:
+    """Number of terms of a `source_brightness` to take out behind samples that absorb.
+
+    Of quadratic and cubic ones, those with the less expected error of the displacements in the rows of `basis`, on
+    `pixels` (width, width), by the noise, which must be known.
     """
     noise = reference.noise
     if noise is None:
-        return None
-    images = np.stack([model.image(values) for values in _CUBIC.values(*model.position.T)])
-    blur, _ = mean_interpolation(images.shape[-1])
-    cubic = np.asarray(blur @ images @ blur.T)  # interpolated like the subimages
+        return LINEAR_TERMS
     light, gradient, expected = _mean_lenslet(reference, pixels)
     weight = _pixel_weights(expected, noise)
 
-    def descent(brightness: Floats) -> SteepestDescent:
-        return SteepestDescent(reference, modes, pixels, basis, conserve_flux=False, brightness=brightness)
+    def descent(terms: int) -> SteepestDescent:
+        return SteepestDescent(reference, modes, pixels, basis, conserve_flux=False, brightness=brightness, terms=terms)
 
-    only_cubic = descent(cubic).varying(light)[0, TRANSMISSION_MODES.count :]
+    only_cubic = descent(_CUBIC.count).varying(light)[0, TRANSMISSION_MODES.count :]
 
-    def expected_error(brightness: Floats) -> float:
+    def expected_error(terms: int) -> float:
         """Sum of the displacements' variances, px^2, by noise and the cubic brightness left in."""
-        images = descent(brightness)
+        images = descent(terms)
         fit = _least_squares(images.without_brightness(images(light, gradient), weight), weight)[0, :-2]
         return float(np.sum(fit**2 * noise.variance(expected)) + np.sum((_CUBIC_RMS * fit @ only_cubic.T) ** 2))
 
-    return min(cubic, cubic[: TRANSMISSION_MODES.count], key=expected_error)
+    return min(_CUBIC.count, TRANSMISSION_MODES.count, key=expected_error)
 
 
 def respond(template: Template, image: Floats, changes: Floats, own: Sequence[OwnWavefront]) -> Floats:
