@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import time
 from functools import cache
 
 import numpy as np
 import pytest
+from support.patience import HANG_S
 
 from app.bench.config import Bench, load_bench
 from app.evaluation.frames import NoiseFreeFrames
 from app.evaluation.mask_accuracy import calibration_of
+from app.measurement.background_estimator import LiveEstimator
+from app.measurement.estimator import Estimator
 from app.measurement.offline_reconstructor import reconstructor as reconstructor_of
 from app.results.dataset import result_dataset
 from reconstruction.arrays import Floats, Image
 from reconstruction.frame.noise import CameraNoise
+from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.wavefront import mean_rms
 
 READ_NOISE_E = 8.0
@@ -76,6 +81,52 @@ def test_absorption_is_hardly_a_wavefront(mask: str, most_rad: float) -> None:
     wavefront = reconstructor(frame * scale)
     assert len(wavefront.sample.ratios) == 1
     assert mean_rms(wavefront.views - NoiseFreeFrames(bench).frame().truth) < most_rad
+
+
+@cache
+def clear_and_absorbing() -> tuple[Estimator, Image, Image]:
+    """An estimator that knows the noise, and noisy frames of a clear sample and of one that absorbs, counts."""
+    bench, reference, absorbed, _ = absorbing("checkerboard")
+    clear = NoiseFreeFrames(load_bench("small_demo", ("simulation.source.mask='checkerboard'",))).frame().photons
+    scale, random = np.float32(1e4 / reference.max()), np.random.default_rng(1)
+    noise = CameraNoise(counts_per_electron=1.0, read_noise_counts=READ_NOISE_E)
+    estimator = Estimator(calibration_of(bench, reference * scale, noise=noise))
+
+    def noisy(frame: Image) -> Image:
+        electrons = random.poisson(frame * scale) + READ_NOISE_E * random.standard_normal(frame.shape)
+        return electrons.astype(np.float32)
+
+    return estimator, noisy(clear), noisy(absorbed)
+
+
+def test_frame_shows_whether_its_sample_absorbs() -> None:
+    estimator, *frames = clear_and_absorbing()
+    reconstructor = estimator.reconstructor
+    for frame, absorbs in zip(frames, (False, True), strict=True):
+        found = reconstructor.register(frame)
+        assert found.absorbs == absorbs
+        for told in (False, True):
+            registered = reconstructor.register(frame, start=found, absorbs=told)
+            assert registered.absorbs == told
+            assert reconstructor.shows_absorption(registered) == absorbs
+
+
+@pytest.mark.slow
+def test_live_frames_follow_another_kind_of_sample() -> None:
+    estimator, clear, absorbed = clear_and_absorbing()
+    reconstructor, live, seen, begin_s = estimator.reconstructor, LiveEstimator(estimator), [], time.monotonic()
+    try:
+        for frame in (clear, absorbed, clear):
+            absorbs, before = frame is absorbed, live.absorbs
+            while live.absorbs is not absorbs:
+                with one_blas_thread():
+                    live.solve(reconstructor.register(frame, absorbs=bool(before)), time.monotonic())
+                assert time.monotonic() < begin_s + HANG_S
+                time.sleep(0.05)
+            seen.append(live.absorbs)
+    finally:
+        live.close()
+    assert seen == [False, True, False]
 
 
 @pytest.mark.slow

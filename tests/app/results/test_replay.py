@@ -85,6 +85,15 @@ def mine(plain: Recording, tmp_path: Path) -> Recording:
     return Recording(shutil.copytree(plain.folder, tmp_path / "mine"))
 
 
+def test_frame_is_registered_as_behind_the_recorded_kind_of_sample(mine: Recording) -> None:
+    assert [mine.line(index).absorbs for index in (1, 2)] == [False, False]
+    edit_line(mine, 2, absorbs=True)
+    clear, absorbing = reprocess(Recording(mine.folder), [1, 2])
+    assert clear.registered is not None
+    assert absorbing.registered is not None
+    assert (clear.registered.absorbs, absorbing.registered.absorbs) == (False, True)
+
+
 def test_frame_after_one_without_light_starts_from_the_one_before(
     mine: Recording, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,9 @@ from simulated_devices.optics.source import SourcePoints
 POLYNOMIALS = LegendreModes(10)
 
 
-def prepared(bench: SmallBench, peak_e: float, *, is_modelled: bool = True) -> tuple[GaussNewton, LensletImage]:
+def prepared(
+    bench: SmallBench, peak_e: float, *, is_modelled: bool = True, absorbs: bool = True
+) -> tuple[GaussNewton, LensletImage]:
     """A quartic registration for so many electrons in the reference's brightest pixel, and the model of a lenslet."""
     noise = CameraNoise(counts_per_electron=float(bench.reference.max()) / peak_e, read_noise_counts=0.0)
     reference = ReferenceSubimages(
@@ -27,7 +29,9 @@ def prepared(bench: SmallBench, peak_e: float, *, is_modelled: bool = True) -> t
         bench.sensor, bench.field, bench.source, width=reference.width, pupil_samples=12, pixel_fill_factor=1.0
     )
     given = model if is_modelled else None
-    return GaussNewton(reference, LegendreModes(15), conserve_flux=False, may_rotate=False, model=given), model
+    modes = LegendreModes(15)
+    method = GaussNewton(reference, modes, conserve_flux=False, may_rotate=False, model=given, absorbs=absorbs)
+    return method, model
 
 
 @pytest.mark.parametrize("highest", [1, 2, 3])
@@ -40,14 +44,16 @@ def test_rendered_brightness_is_no_displacement(checker_bench: SmallBench, highe
     source = SourcePoints(position_m=bench.source.position_m, area_m2=bench.source.area_m2 * brightness)
     frame = bench.model.irradiance(source) * np.float32(1e14)
 
-    def moved_px(*, is_modelled: bool) -> float:
-        method, _ = prepared(bench, 1e6, is_modelled=is_modelled)
+    def moved_px(*, is_modelled: bool = True, absorbs: bool = True) -> float:
+        method, _ = prepared(bench, 1e6, is_modelled=is_modelled, absorbs=absorbs)
         found = method(frame, saturated=np.zeros(frame.shape, np.bool_))
         assert found.valid.all()
+        assert found.absorbs == (absorbs and is_modelled)
         return float(np.sqrt(np.mean(found.coefficients**2)))
 
-    assert moved_px(is_modelled=True) < 2e-4
+    assert moved_px() < 2e-4
     assert moved_px(is_modelled=False) > 1e-3
+    assert (moved_px(absorbs=False) < 2e-4) == (highest == 1)  # of other samples, only what is linear
 
 
 def found_px(bench: SmallBench, peak_e: float) -> Floats:
