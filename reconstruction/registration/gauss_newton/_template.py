@@ -33,7 +33,7 @@ from reconstruction.runtime.threads import in_threads
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
 # scattered light that no warp describes, would have most weight. With 0.003 the residual at 10,000 e- is 1.4 times
 # as large, although the scatter is smaller.
-_MODEL_ERROR = 0.06
+_MODEL_ERROR = 0.02
 _NOTHING = 1e-12  # share of a lenslet's information that is none; keeps a division from one by zero
 LINEAR_TERMS, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
