@@ -69,7 +69,6 @@ class LayersPanel(Panel):
         self.origin = Choice(about, [(f"From the {origin}", origin) for origin in get_args(Origin)])
         self.plot = MisfitPlot()
         self.map = ViewGrid((80, 50))
-        self.map.setAccessibleName("Phase of each layer")
         self.map.setToolTip("Phase of each layer, without piston")
         self.sentence = ElidedLabel(lines=2)
         header = row(self.mode, self.origin, (ElidedLabel(), 1))

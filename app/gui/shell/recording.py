@@ -11,7 +11,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QProcess, QProcessEnvironment, QSettings, QStandardPaths, Qt, QUrl
 from PyQt6.QtGui import QDesktopServices
-from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QWidget
+from PyQt6.QtWidgets import QFileDialog, QFrame, QMenu, QSizePolicy, QWidget
 
 from app.acquisition.remote.connection import RunningInstrument
 from app.gui.panels.panel import Entries
@@ -53,6 +53,7 @@ class RecordingPanel(QWidget):
         self.record = Toggle("Record", about, self._leave_fields)
         self.keep = Button(f"Save last {RECENT_S:g} s", f"Save the last {RECENT_S:g} s as a recording (K)")
         self.text = ElidedLabel("dim")
+        self.text.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Fixed)
         self.text.setFixedSize(self.text.fontMetrics().horizontalAdvance(_WIDEST), self.text.minimumHeight())
         self.text.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.next = Button("\N{HORIZONTAL ELLIPSIS}", "Name, note and end of the next recording (Shift+W)")

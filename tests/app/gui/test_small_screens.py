@@ -273,6 +273,7 @@ def test_verdict_has_room_for_its_reason_and_the_menus_stay(make_window: MakeWin
         window.verdict.show_verdict(problem, is_failed=False, is_busy=False, mask_note="")
         settle()
         places.append(window.menu_bar.geometry())
+        assert window.recording_panel.text.geometry().right() < window.recording_panel.keep.geometry().left()
         assert problem in window.verdict.text()
         assert not window.verdict.text().endswith(ELLIPSIS)
         assert not cut_texts(window.menu_bar.parentWidget() or window)
