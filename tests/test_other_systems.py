@@ -11,7 +11,6 @@ from pathlib import Path
 import pytest
 from support.paths import ROOT
 from support.patience import HANG_S
-from windows.wine_failures import WINE_FAILURES
 
 PACKAGES = ["app", "drivers", "reconstruction", "simulated_devices"]
 SOURCES = sorted(path for name in PACKAGES for path in (ROOT / name).rglob("*.py"))
@@ -84,12 +83,6 @@ def listed_tests(listed: str) -> list[str]:
     found = [line.partition("[")[0] for line in listed.splitlines() if "::" in line]  # a signal has another number
     assert len(found) > 4000
     return found
-
-
-@pytest.mark.parametrize("name", WINE_FAILURES)
-def test_left_out_test_exists(name: str) -> None:
-    path, function = name.split("::")
-    assert f"def {function}(" in (ROOT / path).read_text("utf-8")
 
 
 def test_paths_of_one_system_are_known() -> None:

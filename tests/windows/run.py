@@ -17,7 +17,6 @@ from support.stand_ins.pseudo_terminal import PtyServer
 
 from windows.prepare import prepare
 from windows.shim import COMPILER
-from windows.wine_failures import WINE_FAILURES
 
 _HERE = Path(__file__).parent
 _PYTHON = "Z:\\win\\python\\python.exe"
@@ -96,9 +95,9 @@ def main(cache: Path) -> int:
 
 
 def _run_tests(cache: Path, room: str) -> int:
-    chosen = "-q -m 'not slow' -p no:cacheprovider " + " ".join(f"--deselect {name}" for name in WINE_FAILURES)
+    chosen = f"-q -m 'not slow' -p no:cacheprovider {room}"
     variables = [f"{name}={value}" for name, value in _VARIABLES_OF_TESTS.items()]
-    return _wine(cache, *variables, "sh", "-c", f"cd /checkout && wine '{_PYTHON}' -m pytest {chosen} {room}")
+    return _wine(cache, *variables, "sh", "-c", f"cd /checkout && wine '{_PYTHON}' -m pytest {chosen}")
 
 
 def _wine(cache: Path, *command: str) -> int:
