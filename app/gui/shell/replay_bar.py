@@ -69,7 +69,7 @@ class Timeline(QSlider):
                 (theme.ACCENT, 0.8 * rms, f"RMS to {most_rad:.2g} rad"),
             ):
                 painter.setPen(QPen(colour, 1))
-                painter.drawText(left, self.fontMetrics().ascent(), most)
+                painter.drawText(left, height, most)  # below the curves
                 left += self.fontMetrics().horizontalAdvance(f"{most}   ")
                 x, y = _MARGIN_PX + self._reach_px * place, height - (height - 2) * of_1
                 painter.drawPath(pg.arrayToQPath(x, y, connect="finite"))
