@@ -40,6 +40,7 @@ _LIKE = 0.1  # residual over the contrast below which a reference shows the mask
 _SURE = 0.03  # ... below which it is this mask as the bench has it; right ones have 0.021 at most
 _BETTER = 0.7  # residual of another orientation over that of the bench's
 _TOLERANCE = 0.01
+_PITCH_TOLERANCE = 0.03  # of the pitch; light that is not quite collimated changes it by less
 _ORIENTATIONS = {  # how the mask lies in the image, and its points' matrix
     "": ((1, 0), (0, 1)),
     "mirrored left to right": ((-1, 0), (0, 1)),
@@ -115,13 +116,21 @@ def _kept_scale(reference: Average, dark: Average | None, bench: Bench) -> MaskS
 
 
 def scale_quality(calibration: Calibration) -> Quality:
-    """Judge by the image of the mask whether the bench's lengths are those of a reference.
+    """Judge by the lattice's pitch and the image of the mask whether the bench's lengths are those of a reference.
 
-    Silent if the reference does not clearly show the mask (an octagon looks like a circle 3 % smaller, with a misfit of
-    4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its square is not as large as the
-    field.
+    The image is not judged if the reference does not clearly show the mask (an octagon looks like a circle 3 % smaller,
+    with a misfit of 4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its square is
+    not as large as the field.
     """
     bench, source = calibration.bench, calibration.bench.simulation.source
+    pitch = calibration.lattice.pitch_px / bench.sensor.lenslet_pitch_px
+    if abs(pitch - 1) > _PITCH_TOLERANCE:
+        off = f"{100 * abs(pitch - 1):.0f} % {'larger' if pitch > 1 else 'smaller'}"
+        return Quality.of(
+            Fault.SCALE,
+            f"the lenslets' pitch on the camera is {off} than the bench's lengths say, which scales every wavefront:"
+            " check lenslet_pitch_m and pixel_pitch_m",
+        )
     if source == Source() and source.half_width_m != bench.field.half_width_m:
         return Quality()
     simulation = Simulation(source=source, object_samples=bench.simulation.object_samples)

@@ -50,3 +50,14 @@ def test_bench_that_does_not_describe_its_mask_is_not_judged() -> None:
     assert Fault.SCALE not in judged(bench, left_out).faults
     named = replace(bench, simulation=replace(bench.simulation, source=Source(checker_cells=7)))
     assert Fault.SCALE in judged(bench, named).faults
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("setting", "change"), [("lenslet_pitch_m", "5 % smaller"), ("pixel_pitch_m", "5 % larger")])
+def test_wrong_pitch_is_flagged(setting: str, change: str) -> None:
+    """Whatever the mask is; 2 % pass."""
+    bench = load_bench("small_demo", ("simulation.source.mask=square",))
+    for share, is_found in ((1.05, True), (1.02, False)):
+        sensor = replace(bench.sensor, **{setting: share * getattr(bench.sensor, setting)})
+        reason = judged(bench, replace(bench, sensor=sensor)).reasons.get(Fault.SCALE, "")
+        assert (f"pitch on the camera is {change} than the bench's lengths say" in reason) == is_found, reason
