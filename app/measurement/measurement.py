@@ -14,7 +14,7 @@ from reconstruction.quality.verdict import Quality
 from reconstruction.wavefront import Wavefront
 
 SKIPPED = "skipped: the computer was too slow"  # stored in recordings
-_COUNTS = {1: "one layer", 2: "two layers"}
+_COUNTS = {1: "one layer", 2: "two layers", 3: "a sample with depth between"}
 
 RefinementStage = Literal["off", "preparing", "applied", "moved", "worse", "failed"]
 
@@ -98,7 +98,8 @@ def sample_sentence(sample: AssumedSample, field: Field) -> str:
         _place(-ratio * field.collimator_focal_length_m, sigma * field.collimator_focal_length_m)
         for ratio, sigma in zip(sample.ratios, sample.sigma.tolist(), strict=True)
     ]
-    return f"{_COUNTS[len(places)]} {' and '.join(places)}{neglected}"
+    ends = places[:: max(len(places) - 1, 1)]
+    return f"{_COUNTS[len(places)]} {' and '.join(ends)}{neglected}"
 
 
 def _place(distance_m: float, sigma_m: float) -> str:

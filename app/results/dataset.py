@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 _RANGE = "displacement of the field's edge over what the cell allows; above 1 it has left the cell"
 _CHI_SQUARE = "reduced chi-square of the registered subimage; NaN where the camera's noise is not known"
-_MOST_LAYERS = 2  # layers of a sample; the same for all frames, so that they can be stacked
+_MOST_LAYERS = 3  # layers of a sample; the same for all frames, so that they can be stacked
 
 
 def transfer(wavefront: Wavefront) -> dict[str, Variable]:
@@ -213,7 +213,7 @@ def sample_variables(sample: AssumedSample, of: Field) -> dict[str, Variable]:
     count = len(sample.ratios)
     distance_m[:count] = -np.array(sample.ratios) * of.collimator_focal_length_m
     sigma_m[:count] = sample.sigma * of.collimator_focal_length_m
-    assumed = "layers that were assumed to make up the sample; 0: any wavefront was allowed"
+    assumed = "layers that were assumed to make up the sample; 0: any wavefront was allowed; 3: one with depth"
     towards = "distance of each assumed layer from the lenslets, positive towards the source"
     return {
         "assumed_layers": ((), np.array(count, np.int8), about("1", assumed)),

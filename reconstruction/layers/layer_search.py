@@ -1,9 +1,12 @@
-"""Distance of one layer, or two, and whether layers explain a frame.
+"""Distance of one layer, or two, or a sample with depth, and whether layers explain a frame.
 
 The log evidence of the displacements is a smooth function of the distances. It is searched on a coarse grid, then
 refined; its curvature at the maximum gives the error bars, to which systematic errors of the displacements are added.
 A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them. Noise can
 favour a place behind them by far, so layers are sought there only if none before them explain the displacements.
+
+Where two layers are needed, the sample may have depth. A *slab* stands for that: three layers, one between the others,
+so that two ends are found, as two layers are. It explains two thin layers nearly as well as they do.
 """
 
 import math
@@ -37,6 +40,7 @@ _FARTHEST = 0.97  # of |t|
 _ROUGH, _TOLERANCE = 2e-3, 1e-4  # of t
 _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
+_SLAB = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])  # from the ends to the layers of a slab
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first, or the
 # second if the source hides displacements, it may be that of the registration. Single screens leave 0.004, and 0.017 in
 # noise; two taken for one, or ten, 0.03 to 0.4.
@@ -60,6 +64,7 @@ class LayerSearch:
     two: LayerFit | None  # best pair, if it was searched
     given: LayerFit | None  # at given distances
     any_wavefront: FitQuality
+    slab: LayerFit | None = None  # best slab, if a pair was searched because one layer does not suffice
 
     @property
     def fit(self) -> LayerFit:
@@ -135,10 +140,6 @@ def search_layers(
         check()
         return equations.quality(*map(_ratio, t), degree=SKETCH_DEGREE)
 
-    def fit_at(*t: float) -> LayerFit:
-        check()
-        return equations.fit(*map(_ratio, t))
-
     def best_of(sketches: dict[tuple[float, ...], FitQuality]) -> LayerFit:
         starts = {
             max(some, key=lambda t: sketches[t].log_evidence)
@@ -146,7 +147,7 @@ def search_layers(
         }
         fits = []
         for start in sorted(starts, key=max):  # those before the lenslets first
-            fits.append(_refined(equations, sketch_at, fit_at, np.array(start)))
+            fits.append(_refined(equations, check, np.array(start), np.eye(len(start))))
             if explains(fits[-1].quality, any_wavefront):
                 return fits[-1]
         return max(fits, key=lambda fit: fit.quality.log_evidence)
@@ -154,10 +155,13 @@ def search_layers(
     any_wavefront = equations.any_wavefront()
     tried: dict[tuple[float, ...], FitQuality] = {(t,): sketch_at(t) for t in _GRID}
     one = best_of(tried)
-    two = None
+    two = slab = None
     is_enough = one.quality.log_evidence >= any_wavefront.log_evidence or explains(one.quality, any_wavefront)
     if not at and (count == 2 or (count is None and not is_enough)):
         two = best_of({pair: sketch_at(*pair) for pair in combinations(_GRID_OF_TWO, 2)})
+        if count is None:
+            ends = np.array([layer.ratio / (1 + abs(layer.ratio)) for layer in two.layers])
+            slab = _refined(equations, check, ends, _SLAB)
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([quality.misfit for quality in tried.values()]),
@@ -166,6 +170,7 @@ def search_layers(
         two=two,
         given=equations.fit(*sorted(at)) if at else None,
         any_wavefront=any_wavefront,
+        slab=slab,
     )
 
 
@@ -175,21 +180,32 @@ def _ratio(t: float) -> float:
     return float(t / (1 - abs(t)))
 
 
-def _refined(
-    equations: FrameEquations, sketch_at: Callable[..., FitQuality], fit_at: Callable[..., LayerFit], start: Floats
-) -> LayerFit:
-    """Maximise the evidence over the distances, from a start (layer,) in t, and find their error bars."""
+def _refined(equations: FrameEquations, check: Callable[[], None], start: Floats, layers_of: Floats) -> LayerFit:
+    """Maximise the evidence over some distances, from a start (n,) in t, and find their error bars.
+
+    The ratios of the layers are `layers_of` (layer, n) times those of the distances.
+    """
+
+    def ratios(t: Floats) -> Floats:
+        check()
+        return np.asarray(layers_of @ np.vectorize(_ratio)(t))
+
+    def fit_at(t: Floats) -> LayerFit:
+        return equations.fit(*ratios(t).tolist())
 
     def cost(t: Floats) -> float:
-        return -fit_at(*t).quality.log_evidence
+        return -fit_at(t).quality.log_evidence
 
-    rough = _minimum(lambda t: -sketch_at(*t).log_evidence, start, _SPACING / 2, _ROUGH)
+    def sketched_cost(t: Floats) -> float:
+        return -equations.quality(*ratios(t).tolist(), degree=SKETCH_DEGREE).log_evidence
+
+    rough = _minimum(sketched_cost, start, _SPACING / 2, _ROUGH)
     best = np.clip(_minimum(cost, rough, _SPACING / 8, _TOLERANCE), -_FARTHEST + _STEP, _FARTHEST - _STEP)
-    fit = fit_at(*best)
-    before, after = ([fit_at(*best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
+    fit = fit_at(best)
+    before, after = ([fit_at(best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
     systematic = equations.distance_covariance(fit, before, after, _STEP)
-    per_t = np.array([(1 + abs(layer.ratio)) ** 2 for layer in fit.layers])
-    covariance = per_t[:, None] * (_inverse(_curvature(cost, best)) + systematic) * per_t
+    per_t = layers_of * np.array([(1 + abs(_ratio(each))) ** 2 for each in best])
+    covariance = per_t @ (_inverse(_curvature(cost, best)) + systematic) @ per_t.T
     order = np.argsort([layer.ratio for layer in fit.layers])
     layers = [
         replace(layer, ratio_sigma=float(sigma))

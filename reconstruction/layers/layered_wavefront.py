@@ -1,4 +1,4 @@
-"""Wavefront of a sample that is known to be one or two thin layers.
+"""Wavefront of a sample that is known to be one thin layer, two, or a slab of three.
 
 What one lenslet sees inside its field, its neighbours see at their edges, shifted by ratio x: layers determine the
 wavefront even where the source is blind (docs/layers.md).
@@ -31,13 +31,17 @@ from reconstruction.solve.modal import Deviations, KnownModes, ModalSolution, Sp
 
 _STEP = 5e-3  # of a ratio r, times 1 + |r|, for the wavefront's derivative
 _DECISIVE = 5.0  # by which the log evidence must favour layers, at distances found among many
+_ALONE = 1e-9  # variance of distances over the largest, below which they follow from others
 _TINY = np.finfo(np.float64).tiny
 _NEGLIGIBLE_RAD = 1e-20  # denormal numbers take fifty times as long as others or 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssumedSample:
-    """Assumed sample: layers at some ratios of field to pupil position, or none: any wavefront."""
+    """Assumed sample: layers at some ratios of field to pupil position, or none: any wavefront.
+
+    Three layers are a slab: one with depth, between the outer two.
+    """
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known
@@ -55,7 +59,8 @@ FREE = AssumedSample()
 def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bool = False) -> AssumedSample:
     """One layer where it explains the displacements; else what has the highest evidence.
 
-    That is any wavefront, too, if the sample `may_be_free`.
+    That is any wavefront, too, if the sample `may_be_free`. A slab stands for two layers, unless the source hides
+    displacements (`is_blind`): there its wavefronts are too free.
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
     second layer at the end of the search, or a free wavefront, which is far off if the source hides displacements
@@ -64,7 +69,8 @@ def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bo
     one, any_wavefront = search.one, search.any_wavefront
     if is_within(one) and explains(one.quality, any_wavefront, is_blind=is_blind):
         return _assumed(one)
-    found = [fit for fit in (one, search.two) if fit is not None and is_within(fit)]
+    deep = search.two if is_blind or search.slab is None or not is_within(search.slab) else search.slab
+    found = [fit for fit in (one, deep) if fit is not None and is_within(fit)]
     if may_be_free and not found:
         return FREE
     best = max(found or [one], key=lambda fit: fit.quality.log_evidence)
@@ -143,8 +149,9 @@ class LayeredWavefronts:
 
         def deviations() -> Deviations:
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
-            others = np.zeros((shape[0] - 1, shape[1], len(sample.ratios)), np.float32)
-            others[columns] = self._of_distances(sample, frame)
+            of_distances = self._of_distances(sample, frame)
+            others = np.zeros((shape[0] - 1, shape[1], of_distances.shape[1]), np.float32)
+            others[columns] = of_distances
             return Deviations(spread, deviation.astype(np.float32), others)
 
         def fitted() -> Floats:
@@ -256,16 +263,13 @@ class LayeredWavefronts:
         return _Slopes(columns.astype(np.float32, order="C"), polynomials, along @ rows @ vectors, along @ columns.T)
 
     def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
-        """Deviations of the wavefront's coefficients that the uncertain distances cause, (column, layer)."""
+        """Independent deviations of the wavefront's coefficients that uncertain distances cause, (column, n)."""
         if sample.covariance is None:
-            return np.zeros((np.count_nonzero(self._modes.columns), len(sample.ratios)))
-        slopes = []
-        for place, ratio in enumerate(sample.ratios):
-            step = _STEP * (1 + abs(ratio))
-            near, far = (
-                self._fit(tuple(r + side * step * (i == place) for i, r in enumerate(sample.ratios)), frame)
-                for side in (-1, 1)
-            )
-            slopes.append((far.wavefront - near.wavefront) / (2 * step))
+            return np.zeros((np.count_nonzero(self._modes.columns), 0))
         values, vectors = np.linalg.eigh(sample.covariance)
-        return np.asarray(np.transpose(slopes) @ (vectors * np.sqrt(np.maximum(values, 0.0))))
+        ratios, step, deviations = np.array(sample.ratios), _STEP * (1 + np.abs(sample.ratios).max()), []
+        for value, vector in zip(values, vectors.T, strict=True):
+            if value > _ALONE * values[-1]:  # a slab's ends determine its middle
+                near, far = (self._fit(tuple((ratios + side * step * vector).tolist()), frame) for side in (-1, 1))
+                deviations.append((far.wavefront - near.wavefront) * (math.sqrt(value) / (2 * step)))
+        return np.transpose(deviations)

@@ -31,6 +31,11 @@ BIAS = "displacements count as mean gradients of the wavefront, whose bias the e
             [0.02, 0.1],
             "two layers 220 +- 4 mm in front of the lenslets and 60 +- 20 mm in front of the lenslets",
         ),
+        (
+            (-1.1, -0.7, -0.3),
+            [0.02, 0.05, 0.1],
+            "a sample with depth between 220 +- 4 mm in front of the lenslets and 60 +- 20 mm in front of the lenslets",
+        ),
     ],
 )
 def test_sample_is_told_in_millimetres(ratios: tuple[float, ...], sigmas: list[float] | None, sentence: str) -> None:

@@ -71,7 +71,7 @@ def test_results_have_documented_names_dimensions_and_units(dataset: xr.Dataset,
         "frequency_x": 55,
         "frequency_y": 43,
         "separation": 8,
-        "layer": 2,
+        "layer": 3,
     }
     units = {"wavefront": "rad", "coefficients": "rad", "displacement": "px", "view_x": "m", "pupil_y": "m"}
     assert {name: read[name].attrs["units"] for name in units} == units
@@ -111,7 +111,7 @@ def test_distance_of_an_assumed_layer_and_its_error_are_lengths() -> None:
     variables = sample_variables(AssumedSample((-0.6,), np.array([[0.01**2]])), FIELD)
     assert variables["assumed_layers"][1] == 1
     for name, distance_m in (("layer_distance", 0.12), ("layer_distance_sigma", 0.002)):
-        np.testing.assert_allclose(variables[name][1], [distance_m, np.nan])
+        np.testing.assert_allclose(variables[name][1], [distance_m, np.nan, np.nan])
 
 
 def test_documentation_lists_every_variable(dataset: xr.Dataset) -> None:

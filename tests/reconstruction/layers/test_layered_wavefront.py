@@ -126,9 +126,18 @@ def unlayered() -> Floats:
     return np.asarray(sum(displacements_px(phase, ratio) for phase, ratio in zip(phases, ratios, strict=True)))
 
 
+def deep() -> list[tuple[Floats, float]]:
+    """Phases and ratios of five layers between `NEAR` and `FAR`."""
+    generator = np.random.default_rng(5)
+    degree = np.add.outer(np.arange(7), np.arange(7))
+    phases = np.where((degree > 1) & (degree < 7), generator.normal(0, 20, (5, 7, 7)) / np.maximum(degree, 1) ** 3, 0)
+    return list(zip(phases, np.linspace(FAR, NEAR, 5).tolist(), strict=True))
+
+
 SAMPLES = {
     "one": lambda: displacements_px(PHASE, -0.975),
     "two": lambda: displacements_px(3 * PHASE, NEAR) + displacements_px(3 * OTHER, FAR),
+    "deep": lambda: np.sum([displacements_px(phase, ratio) for phase, ratio in deep()], axis=0),
     "more": unlayered,
 }
 
@@ -140,14 +149,38 @@ def searched(name: str) -> LayerSearch:
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize(("name", "layers"), [("one", 1), ("two", 2), ("more", 0)])
+@pytest.mark.parametrize(("name", "layers"), [("one", 1), ("two", 3), ("deep", 3), ("more", 0)])
 def test_most_probable_sample_is_assumed(name: str, layers: int) -> None:
     search = searched(name)
     assert len(most_probable(search).ratios) == layers
     assert (search.two is None) == (layers == 1)  # not searched where one layer suffices
-    assert len(most_probable(search, may_be_free=False).ratios) in {1, 2}
+    assert len(most_probable(search, may_be_free=False).ratios) in {1, 3}
+    assert len(most_probable(search, may_be_free=False, is_blind=True).ratios) in {1, 2}
     if not layers:
         assert most_probable(search) is FREE
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_slab_stands_for_a_sample_with_depth() -> None:
+    """Its middle follows from its ends; its error is less than half that of two layers."""
+    layers, measured, search = deep(), displacement(noisy(SAMPLES["deep"](), 0)), searched("deep")
+    assert search.two is not None
+    assumed, two = most_probable(search), AssumedSample(tuple(layer.ratio for layer in search.two.layers))
+    assert assumed.ratios == pytest.approx((FAR, (FAR + NEAR) / 2, NEAR), abs=0.2)
+    assert assumed.ratios[1] == pytest.approx((assumed.ratios[0] + assumed.ratios[2]) / 2)
+    assert assumed.covariance is not None
+    assert np.linalg.matrix_rank(assumed.covariance, 1e-6 * np.max(assumed.covariance)) == 2
+
+    def error_rad(sample: AssumedSample) -> float:
+        found = WAVEFRONTS(measured, None, sample)
+        each = [
+            found.wavefront(at(*view_m)) - sum(wavefront(phase, ratio, *view_m) for phase, ratio in layers)
+            for view_m in VIEWS_M
+        ]
+        return float(np.std(each))
+
+    assert error_rad(assumed) < error_rad(two) / 2
 
 
 def fit_of(quality: FitQuality, *ratios: float) -> LayerFit:
