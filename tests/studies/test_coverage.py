@@ -22,7 +22,7 @@ from studies.estimators import WARPS, camera, warp_estimator
 NORMAL = math.erf(math.sqrt(0.5))
 ASKED = 0.04
 PEAKS_E = 100.0, 300.0  # with more light, systematic errors would count in the error bars, but not in the scatter
-DRAWS, REFINED_DRAWS = 72, 12
+DRAWS, REFINED_DRAWS = 72, 16
 
 
 def coverage(wavefronts: list[Wavefront], expected: Floats) -> list[float]:
