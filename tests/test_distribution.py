@@ -64,9 +64,9 @@ if __name__ == "__main__":
     with workers(1, None) as evaluate:
         ((_, other),) = evaluate(reconstruct, images.frames)
     assert (one.views == other.views).all()
-    background estimator = BackgroundEstimatorProcess(reconstruct._prepared())
-    background estimator.prepare()
-    background estimator.close()
+    estimator = BackgroundEstimatorProcess(reconstruct._prepared())
+    estimator.prepare()
+    estimator.close()
     with OwnInstrument("beside") as own:
         connection = own.connect(bench)
         while connection.is_alive and not connection.is_reached:
