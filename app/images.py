@@ -68,7 +68,9 @@ def _read(path: Path) -> NDArray[Any]:
     if start.startswith(np.lib.format.MAGIC_PREFIX):
         with reading_npy():
             # Fails if the file is shorter than its header says.
-            return np.array(np.load(path, mmap_mode="r", allow_pickle=False))
+            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
+            _require_few_pixels(mapped.shape)
+            return np.array(mapped)
     if start == _FITS:
         return _read_fits(path)
     if start.startswith(_PICTURES):
@@ -80,14 +82,18 @@ def _read(path: Path) -> NDArray[Any]:
     raise ValueError("it is another kind of file")
 
 
+def _require_few_pixels(shape: tuple[int, ...]) -> None:
+    if math.prod(shape) > _MOST_PIXELS:
+        raise ValueError(f"{' x '.join(map(str, shape))} pixels are too many")
+
+
 def _read_tiff(path: Path) -> NDArray[Any]:
     """Read the only image of a file, besides previews, turned as its tag says."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
     with tifffile.TiffFile(path, is_ome=False) as file:  # OME's text may claim any number of planes
         images = [series for series in file.series if not series.keyframe.is_reduced]
         (series,) = _only(images)
-        if math.prod(series.shape) > _MOST_PIXELS:
-            raise ValueError(f"{' x '.join(map(str, series.shape))} pixels are too many")
+        _require_few_pixels(series.shape)
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
         tag, compression = series.keyframe.tags.get(_ORIENTATION), series.keyframe.compression

@@ -231,11 +231,13 @@ class Reconstructor:
     @cached_property
     def absorbing(self) -> "Reconstructor":
         """The same for samples that absorb: more of a brightness over the field counts as no displacement."""
-        return self._again(registration=self.registration, absorbs=True) if self._may_absorb else self
+        if self._absorbs or not self._may_absorb:
+            return self
+        return self._again(registration=self.registration, absorbs=True)
 
     def _of(self, displacement: Displacement) -> "Reconstructor":
         """The one by which a frame was registered."""
-        return self.absorbing if displacement.absorbs and not self._absorbs else self
+        return self.absorbing if displacement.absorbs else self
 
     def shows_absorption(self, displacement: Displacement) -> bool:
         """True if the brightness of the subimages varies more over the field than that of a clear sample.
@@ -265,7 +267,7 @@ class Reconstructor:
         `ReconstructionError` if fewer than two lenslets match the reference, or the frame has the wrong size or is
         saturated.
         """
-        if absorbs and not self._absorbs and self._may_absorb:
+        if absorbs and self.absorbing is not self:
             return self.absorbing.register(frame, start=start)
         light, saturated = self._dark_subtractor(frame, "frame")
         least, most = self._no_light

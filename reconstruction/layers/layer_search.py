@@ -161,7 +161,7 @@ def search_layers(
         two = best_of({pair: sketch_at(*pair) for pair in combinations(_GRID_OF_TWO, 2)})
         if count is None:
             ends = np.array([layer.ratio / (1 + abs(layer.ratio)) for layer in two.layers])
-            slab = _refined(equations, check, ends, _SLAB)
+            slab = _refined(equations, check, ends, _SLAB, is_sketched=True)  # else it would take ten times as long
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([quality.misfit for quality in tried.values()]),
@@ -180,10 +180,13 @@ def _ratio(t: float) -> float:
     return float(t / (1 - abs(t)))
 
 
-def _refined(equations: FrameEquations, check: Callable[[], None], start: Floats, layers_of: Floats) -> LayerFit:
+def _refined(
+    equations: FrameEquations, check: Callable[[], None], start: Floats, layers_of: Floats, *, is_sketched: bool = False
+) -> LayerFit:
     """Maximise the evidence over some distances, from a start (n,) in t, and find their error bars.
 
-    The ratios of the layers are `layers_of` (layer, n) times those of the distances.
+    The ratios of the layers are `layers_of` (layer, n) times those of the distances. The evidence is that of
+    all polynomials, or of those of the sketch.
     """
 
     def ratios(t: Floats) -> Floats:
@@ -193,11 +196,11 @@ def _refined(equations: FrameEquations, check: Callable[[], None], start: Floats
     def fit_at(t: Floats) -> LayerFit:
         return equations.fit(*ratios(t).tolist())
 
-    def cost(t: Floats) -> float:
-        return -fit_at(t).quality.log_evidence
-
     def sketched_cost(t: Floats) -> float:
         return -equations.quality(*ratios(t).tolist(), degree=SKETCH_DEGREE).log_evidence
+
+    def cost(t: Floats) -> float:
+        return sketched_cost(t) if is_sketched else -fit_at(t).quality.log_evidence
 
     rough = _minimum(sketched_cost, start, _SPACING / 2, _ROUGH)
     best = np.clip(_minimum(cost, rough, _SPACING / 8, _TOLERANCE), -_FARTHEST + _STEP, _FARTHEST - _STEP)

@@ -261,3 +261,11 @@ def test_counts_of_any_type_are_limited(tmp_path: Path) -> None:
     np.save(tmp_path / "least.npy", np.full((3, 4), np.iinfo(np.int64).min))
     with pytest.raises(InputError, match="holds values beyond"):
         read_image(tmp_path / "least.npy")
+
+
+def test_file_of_too_many_pixels_is_not_read(tmp_path: Path) -> None:
+    """It takes no space on the disk, but 14 GB in memory."""
+    path = tmp_path / "huge.npy"
+    np.lib.format.open_memmap(path, mode="w+", dtype=np.float32, shape=(60000, 60000))
+    with pytest.raises(InputError, match="60000 x 60000 pixels are too many"):
+        read_image(path)

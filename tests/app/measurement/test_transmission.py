@@ -109,6 +109,17 @@ def test_frame_shows_whether_its_sample_absorbs() -> None:
             registered = reconstructor.register(frame, start=found, absorbs=told)
             assert registered.absorbs == told
             assert reconstructor.shows_absorption(registered) == absorbs
+    assert reconstructor.absorbing.absorbing is reconstructor.absorbing
+
+
+@pytest.mark.slow
+def test_wavefront_behind_a_sample_that_absorbs_is_refined() -> None:
+    estimator, _, absorbed = clear_and_absorbing()
+    with one_blas_thread():
+        wavefront = estimator.reconstructor(absorbed)
+        bias = estimator.refinement.bias(wavefront)
+    assert wavefront.displacement.absorbs
+    assert bias.misfit_px(wavefront.displacement) < 0.1
 
 
 @pytest.mark.slow
