@@ -64,6 +64,7 @@ class CovarianceSource(Protocol):
 
 
 TRANSMISSION_MODES = LegendreModes(6)  # constant, linear and quadratic over the field, also a circular one
+LINEAR_TERMS = 3  # of which the constant and the linear ones are no displacement of any sample
 
 
 @dataclass(frozen=True, slots=True, eq=False)

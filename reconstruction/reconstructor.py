@@ -10,7 +10,14 @@ from typing import Any, NamedTuple, TypeAlias, cast
 import numpy as np
 
 from reconstruction.arrays import Counts, Floats, Image
-from reconstruction.displacement import SYSTEMATIC_PX, Displacement, LensletStatus, LensletStatuses, RegistrationMethod
+from reconstruction.displacement import (
+    LINEAR_TERMS,
+    SYSTEMATIC_PX,
+    Displacement,
+    LensletStatus,
+    LensletStatuses,
+    RegistrationMethod,
+)
 from reconstruction.errors import ReconstructionError, TooManyModes
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.pixels import TOO_BRIGHT, UNKNOWN_CAMERA, DarkSubtractor, KnownCamera
@@ -63,7 +70,6 @@ _READ_NOISE_ALONE = 0.7, 1.5  # times the read noise: a frame that scatters so s
 _SPARSE = 4  # every fourth row and column is sampled
 _CERTAIN = 5.0  # standard errors, which chance does not reach in a million frames
 _MORE = 1.5  # contradiction of a sample by other frames over that by the one in which it was found
-_LINEAR = 3  # terms of a brightness that count as no displacement of any sample
 # RMS quadratic brightness over the field, beyond noise: clear samples of any depth have 0.0025 to 0.0033, one with 8 %
 # RMS of absorption 0.028.
 _ABSORBS, _STILL_ABSORBS = 0.006, 0.005
@@ -247,8 +253,8 @@ class Reconstructor:
         found = displacement.transmission if self._may_absorb else None
         if found is None:
             return False
-        terms = found.coefficients[..., _LINEAR:]
-        variance = np.einsum("...ii->...i", found.covariance)[..., _LINEAR:]
+        terms = found.coefficients[..., LINEAR_TERMS:]
+        variance = np.einsum("...ii->...i", found.covariance)[..., LINEAR_TERMS:]
         known = np.isfinite(terms) & np.isfinite(variance)
         if not known.any():
             return False
@@ -404,7 +410,7 @@ class Reconstructor:
     def _method(self, reference: ReferenceSubimages, settings: RegistrationSettings) -> RegistrationMethod:
         own = self._own.registration
         if own is None:
-            # What more terms of the brightness cost is known from the noise only.
+            # Without known noise a frame does not show whether its sample absorbs.
             needs_model = settings.fits_warps and self.noise and not self.field.neglect_propagation
             model = self._model[0] if needs_model else None
             return prepare_registration(reference, settings, self.field, model, absorbs=self._absorbs)

@@ -18,6 +18,7 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from scipy import spatial
 
 from reconstruction.arrays import Booleans, Counts, Floats
 from reconstruction.displacement import Displacement, LensletStatus
@@ -380,8 +381,7 @@ class StrayLight:
         self._plane = np.column_stack([place, np.ones(len(place))])
         self._is_measured = len(place) >= _FEWEST_LENSLETS and np.linalg.matrix_rank(self._plane) == _PLANE
         self._inverse = np.linalg.pinv(self._plane) if self._is_measured else self._plane.T
-        near = np.hypot(*np.swapaxes(place[:, None] - place, 0, 2)) < _NEAR
-        self._neighbours = np.argwhere(np.triu(near, 1))  # (pair, 2)
+        self._neighbours = spatial.KDTree(place).query_pairs(_NEAR, output_type="ndarray")  # (pair, 2)
 
     def rise(self, added: Floats) -> float:
         """Rise per pitch of a frame beyond chance, over the brightest; 0 if unknown.

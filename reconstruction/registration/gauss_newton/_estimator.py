@@ -22,7 +22,7 @@ from typing import Self
 import numpy as np
 
 from reconstruction.arrays import Booleans, Floats, Image, median
-from reconstruction.displacement import TRANSMISSION_MODES, Displacement, LensletStatus, Transmission
+from reconstruction.displacement import LINEAR_TERMS, TRANSMISSION_MODES, Displacement, LensletStatus, Transmission
 from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.spline import noise_power, noise_power_polynomial, shared_coefficients
 from reconstruction.geometry import Field
@@ -38,7 +38,6 @@ from reconstruction.registration.gauss_newton._lenslet_fits import (
     new_work_arrays,
 )
 from reconstruction.registration.gauss_newton._template import (
-    LINEAR_TERMS,
     SteepestDescent,
     Template,
     absorption_terms,

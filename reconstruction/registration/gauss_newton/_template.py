@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import TRANSMISSION_MODES
+from reconstruction.displacement import LINEAR_TERMS, TRANSMISSION_MODES
 from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import interpolate, mean_interpolation, spline_coefficients
 from reconstruction.geometry import require
@@ -35,7 +35,7 @@ from reconstruction.runtime.threads import in_threads
 # as large, although the scatter is smaller.
 _MODEL_ERROR = 0.02
 _NOTHING = 1e-12  # share of a lenslet's information that is none; keeps a division from one by zero
-LINEAR_TERMS, _CUBIC = 3, LegendreModes(10)  # brightness over the field; linear without a model of the lenslets
+_CUBIC = LegendreModes(10)  # brightness over the field
 # RMS of a brightness in each cubic polynomial, for the choice: behind a sample with 8 % RMS of absorption over 0.5 mm.
 _CUBIC_RMS = 0.011
 _UNSEEN = 1e-6  # singular value over the largest, below which a reference does not show a parameter

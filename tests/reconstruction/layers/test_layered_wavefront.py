@@ -28,6 +28,7 @@ from reconstruction.layers.layer_solver import FrameEquations, Layer, LayerFit, 
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.field_modes import gradient_basis
 from reconstruction.solve.evidence import FitQuality
+from reconstruction.solve.modal import ModalSolution
 
 SOLVER = solver()
 WAVEFRONTS = LayeredWavefronts(SOLVER, LayerModes(SOLVER.degree, SENSOR, FIELD, MODES), gradient_basis(MODES))
@@ -181,6 +182,23 @@ def test_slab_stands_for_a_sample_with_depth() -> None:
         return float(np.std(each))
 
     assert error_rad(assumed) < error_rad(two) / 2
+
+
+@pytest.mark.slow
+def test_sigma_holds_the_scatter_by_the_ends_of_a_slab() -> None:
+    """They move together, and the middle with them; apart, the wavefront would change by more."""
+    measured, ends = displacement(SAMPLES["deep"]()), np.array([FAR, NEAR])
+    covariance, middle = 1e-4 * np.array([[4.0, 3.8], [3.8, 4.0]]), np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])
+
+    def of_slab(ends: Floats, covariance: Floats | None = None) -> ModalSolution:
+        return WAVEFRONTS(measured, None, AssumedSample(tuple((middle @ ends).tolist()), covariance))
+
+    drawn = np.random.default_rng(1).multivariate_normal(ends, covariance, 200)
+    view = at(*VIEWS_M[1])
+    scatter = np.var([of_slab(each).wavefront(view) for each in drawn], axis=0)
+    beyond = of_slab(ends, middle @ covariance @ middle.T).sigma(view) ** 2 - of_slab(ends).sigma(view) ** 2
+    assert np.mean(beyond) == pytest.approx(np.mean(scatter), rel=0.3)
+    assert np.corrcoef(beyond.ravel(), scatter.ravel())[0, 1] > 0.9
 
 
 def fit_of(quality: FitQuality, *ratios: float) -> LayerFit:
