@@ -135,6 +135,8 @@ class Acquisition(Commands):
         def command(instrument: Instrument) -> None:
             self._recorder.require_none(f"{file}: is not shown during a recording, of which it would be part")
             frame = choose(instrument)  # may refuse: the camera goes on
+            if file or instrument.bench.reconstruction.refine:  # which takes seconds
+                self._activity = Activity("reconstructing the frame", may_cancel=False)
             instrument.devices.camera.stop()
             self._path.process_single(frame, instrument, self._light_state(), file)
 

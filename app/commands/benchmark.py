@@ -154,9 +154,11 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
     from app.commands.display import use_display
     from app.evaluation.live_path import LiveFigures, measure_span, recording_folder
     from app.evaluation.processor_time import total_s
+    from app.gui.widgets.theme import styled_application
 
     is_seen, middle = use_display(), (plan.warm_up_s + plan.seconds) / plan.lasting_s
     spans: list[Span] = []
+    _application = styled_application()  # before the instrument: the display may be unusable
 
     def noting(steps: Generator[None, None, Span]) -> Iterator[None]:
         spans.append((yield from steps))

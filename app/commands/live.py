@@ -109,7 +109,9 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
     the file, and opens others; it may offer the one that was open last. `InputError` if only `overrides` are wrong.
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
+    from app.gui.widgets.theme import styled_application
 
+    _application = styled_application()  # before the instrument: the display may be unusable
     with OwnInstrument(name) as own:
         try:
             bench = load_bench(source, overrides)

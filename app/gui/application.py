@@ -59,12 +59,12 @@ def run_window(
     Interrupted
         A signal such as Ctrl-C closed the window.
     """
-    qInstallMessageHandler(_pass_on)
     share_memory_of_threads()
     cv2.setNumThreads(1)  # one more costs a picture more than it saves
     take_identity()
     with loading():
         application = styled_application()
+        qInstallMessageHandler(_pass_on)
         saved = saved_state() if steps is None else None
         if saved is not None:
             apply_preferences(application, saved)

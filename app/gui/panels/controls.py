@@ -17,7 +17,7 @@ from app.gui.widgets.buttons import Button, Choice, Refusal, Slot, Toggle
 from app.gui.widgets.fields import NumberField
 from app.gui.widgets.layouts import Scrolled, captioned, column, row, row_of
 from app.gui.widgets.presentation import percent
-from app.gui.widgets.texts import ElidedLabel, mark_wanted
+from app.gui.widgets.texts import ElidedLabel
 from app.measurement.auto_exposure import FILL
 from app.measurement.averages import AVERAGED_FRAMES, FRAMES
 from drivers.interface import Range
@@ -192,7 +192,7 @@ class ControlsPanel(Panel):
             (Commands.set_em_gain, self.em_gain, status.em_gain, allowed.em_gain_range),
             (Commands.set_current_a, self.current, status.current_a, status.current_range_a),
         ):
-            mark_wanted(field, is_wanted=setter in wanted)
+            theme.restyle(field, "wanted", setter in wanted)
             if self.shown.is_settled or not field.hasFocus():
                 field.show_value(wanted.get(setter, value) or 0, interval)
         self.current.setEnabled(status.current_range_a.maximum > status.current_range_a.minimum)
@@ -206,7 +206,7 @@ class ControlsPanel(Panel):
             (Commands.set_readout_speed, speed, allowed.readout_speeds, status.readout_speed),
             ("mask", mask, status.masks, status.mask),
         ):
-            mark_wanted(choice, is_wanted=setting in wanted)
+            theme.restyle(choice, "wanted", setting in wanted)
             choice.show_choice(values, wanted.get(setting, chosen))
             if (around := choice.parentWidget()) is not None:
                 around.setVisible(len(values) > 1)  # there is nothing to choose
@@ -214,7 +214,7 @@ class ControlsPanel(Panel):
     def _show_switches(self, status: Status) -> None:
         wanted, refine = self.shown.wanted, status.bench.reconstruction.refine
         is_refined = wanted.get(_REFINE, refine)
-        mark_wanted(self.refine, is_wanted=_REFINE in wanted)
+        theme.restyle(self.refine, "wanted", _REFINE in wanted)
         # Of a manual light only what a person has said is known.
         lights = ("Light noted off", "Light by hand") if status.bench.has_manual_light else ("Light off", "Light on")
         if not self._has_devices:

@@ -10,8 +10,9 @@ from PyQt6.QtGui import QAction, QShowEvent
 from PyQt6.QtWidgets import QAbstractButton, QMenu, QTableWidget, QWidget
 
 from app.acquisition.instrument import Status
+from app.gui.widgets import theme
 from app.gui.widgets.plot import Plot
-from app.gui.widgets.texts import ElidedLabel, mark_stale
+from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.frame_statistics import FrameStatistics
@@ -159,7 +160,7 @@ class Panel(QWidget):
             grid.show_stale(is_stale=is_stale)
         in_header = () if self.header is None else self.header.findChildren(ElidedLabel)
         for text in (*self.findChildren((ElidedLabel, QTableWidget)), *in_header):
-            mark_stale(text, is_stale=is_stale)
+            theme.restyle(text, "stale", is_stale)
 
     def table(self) -> str:
         """Return the numbers of all visible maps and plots as tab-separated lines."""

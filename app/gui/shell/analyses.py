@@ -24,7 +24,7 @@ class Analysis:
         self.thread, self._check = ThreadPoolExecutor(1, thread_name_prefix="analysis"), check
         self.request: Request | None = None  # the last one
         self._result: Future[Any] | None = None  # until it is taken
-        self._requested_s, self._taken_s = -math.inf, 0.0
+        self._requested_s, self._taken_s = -math.inf, math.nan  # by the last one; none before the first
 
     @property
     def is_busy(self) -> bool:
@@ -60,12 +60,12 @@ class Analysis:
 
     def _compute(self, request: Request) -> Any:
         """Compute on one core: waiting BLAS threads take five times as long beside a measurement."""
-        begun_s = time.monotonic()
+        begun_s, is_first = time.monotonic(), math.isnan(self._taken_s)
         try:
-            with one_blas_thread(), nullcontext() if self._taken_s else loading():  # the first may import packages
+            with one_blas_thread(), loading() if is_first else nullcontext():  # it may import packages
                 return request.compute(self._check)
         finally:
-            self._taken_s = time.monotonic() - begun_s
+            self._taken_s = 0.0 if is_first else time.monotonic() - begun_s  # nor does it delay the next one
 
 
 class Analyses(QObject):

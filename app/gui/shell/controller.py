@@ -197,25 +197,11 @@ class Controller(QObject):
             if self.acquisition.activity.text:  # else there is nothing to end: a refusal need not be told
                 self._pending.append((future, None, None))
 
-    def _reached(self) -> Connection | None:
-        """Return the connection to the instrument's process, or warn why there is none."""
-        if self.connection is None:
-            self.messages.warn(self.failure or (_NOT_ATTACHED if self._process is None else _STARTS))
-        return self.connection
-
     def take_control(self) -> None:
-        if (connection := self._reached()) is not None:
+        if (connection := self.connection) is None:
+            self.messages.warn(self.failure or (_NOT_ATTACHED if self._process is None else _STARTS))
+        else:
             self.send(lambda _: connection.take_control())
-
-    def end_instrument(self) -> None:
-        if (connection := self._reached()) is None:
-            return
-        if connection.is_of_another:
-            self.messages.warn(self.notice)
-            return
-        question = "the instrument stops for everybody: the light goes off, recordings are finished"
-        end = partial(self.send, lambda _: connection.end())
-        self.messages.ask(question, end, "Stop instrument", "Keep running", is_destructive=True)
 
     def ask_to_leave(self, then: Callable[[], object], parent: QWidget) -> bool:
         """Ask whether the instrument goes on, and call `then`; return False if it ends with the window.

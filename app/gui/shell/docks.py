@@ -5,7 +5,7 @@ from typing import NamedTuple, get_type_hints
 
 from PyQt6.QtCore import QByteArray, QSize, Qt
 from PyQt6.QtGui import QContextMenuEvent
-from PyQt6.QtWidgets import QDockWidget, QMainWindow, QMenu, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
+from PyQt6.QtWidgets import QDockWidget, QMainWindow, QSizePolicy, QTabBar, QTabWidget, QToolButton, QWidget
 
 from app.gui.panels.camera import CameraPanel
 from app.gui.panels.coefficients import CoefficientsPanel
@@ -184,12 +184,6 @@ class PanelDocks:
             if dock.panel in panels:
                 dock.setFloating(True)
                 dock.show()
-
-    def menu(self) -> QMenu:
-        made = QMenu(self._window)
-        for dock in self.docks:
-            made.addAction(dock.toggleViewAction())
-        return made
 
     def _arrange(self) -> None:
         """Show headers of panels without a tab, and dress the tabs, which Qt makes anew."""

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QEvent, QEventLoop, QMimeData, QSettings, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QDropEvent, QRegion, QResizeEvent
-from PyQt6.QtWidgets import QApplication, QFileDialog, QFrame, QMainWindow, QMenuBar, QWidget
+from PyQt6.QtWidgets import QApplication, QFileDialog, QFrame, QMainWindow, QMenu, QMenuBar, QWidget
 
 from app.acquisition.address import CLOSING_S, NAME, NameTaken, NotRunning
 from app.acquisition.instrument import Activity, Status
@@ -199,14 +199,13 @@ class MainWindow(QMainWindow):
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
                 None,
                 ("Take control of the instrument", "", self.controller.take_control),
-                ("End the instrument's process", "", self.controller.end_instrument),
             ),
             "&View": (
                 *self._entries_of_panels("&View"),
                 ("Previous frame of a replay", ",", self.replay.back),
                 ("Next frame of a replay", ".", self.replay.forth),
                 None,
-                ("Panels", "", self.docks.menu()),
+                ("Panels", "", self.createPopupMenu() or QMenu(self)),
                 ("Restore default layout", "", self.docks.restore_default),
                 *preferences,
                 ("Full screen", "F11", lambda: self.setWindowState(self.windowState() ^ full)),

@@ -69,7 +69,8 @@ def data_freshness(
     is_stopped = not status.is_running and not activity.text  # to study the frame: it keeps its colours
     if is_stopped or (_is_old(measurement) and age_s > 3 * measurement.latency_s):  # a slow method is always late
         why = _STOPPED if is_stopped else activity.text or "no newer frame has come yet"
-        return DataFreshness(f"PAUSED, {age} old", why, is_grey=not is_stopped)
+        word = "PAUSED" if is_stopped else "BUSY" if activity.text else "LATE"
+        return DataFreshness(f"{word}, {age} old", why, is_grey=not is_stopped)
     reason = "; ".join(each.doubt for each in (status.dark, status.reference) if each.validity == "doubtful")
     stale = DataFreshness("STALE" if reason else "", reason, is_grey=bool(reason))
     return _OTHER if is_other and not reason else stale

@@ -1,7 +1,7 @@
 """The verdict on the newest frame: good, or why not, with what is assumed of the sample in its tool tip."""
 
 import numpy as np
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QSizePolicy
 
@@ -10,6 +10,7 @@ from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
 from app.gui.widgets.presentation import NOTHING, number, percent
+from app.gui.widgets.texts import elided
 from app.measurement.measurement import Measurement, RefinementState, sample_sentence
 from reconstruction.layers.layered_wavefront import FREE
 
@@ -67,9 +68,7 @@ class VerdictButton(Button):
         )
 
     def _show(self, word: str, numbers: str, lamp: str, colour: QColor) -> None:
-        text = self.fontMetrics().elidedText(
-            f"{word} {numbers}", Qt.TextElideMode.ElideRight, self.width() - _AROUND_PX
-        )
+        text = elided(f"{word} {numbers}", self.fontMetrics(), self.width() - _AROUND_PX)
         if text != self.text() or self.accessibleName() != f"{word} {numbers}":
             self.setText(text)
             self.setAccessibleName(f"{word} {numbers}")

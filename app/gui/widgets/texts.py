@@ -1,10 +1,15 @@
-"""Labels, and the marks of what a control shows: a colour, wanted, refused."""
+"""Labels, and the colours of what is shown."""
+
+import re
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QResizeEvent, QTextLayout
+from PyQt6.QtGui import QColor, QFontMetrics, QPainter, QPaintEvent, QResizeEvent, QTextLayout
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QStyle, QWidget
 
 from app.gui.widgets import theme
+
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=%|\w{1,4}\b)")  # no line begins with a unit
+_LOST_WORD = 15  # characters, of the longest word that is left out rather than cut
 
 
 def label(text: str, role: str = "", parent: QWidget | None = None, *, is_wrapped: bool = False) -> QLabel:
@@ -13,6 +18,13 @@ def label(text: str, role: str = "", parent: QWidget | None = None, *, is_wrappe
     made.setProperty("role", role)
     made.setWordWrap(is_wrapped)
     return made
+
+
+def elided(text: str, font: QFontMetrics, width: int) -> str:
+    """Return a text of this width, px, with an ellipsis, after a whole word, in place of what does not fit."""
+    shown = font.elidedText(text, Qt.TextElideMode.ElideRight, width)
+    end = shown.rfind(" ", len(shown) - _LOST_WORD) if shown != text else -1
+    return shown if end < 1 else shown[:end].rstrip(" ,;:(") + "\N{HORIZONTAL ELLIPSIS}"
 
 
 class ElidedLabel(QLabel):
@@ -54,7 +66,7 @@ class ElidedLabel(QLabel):
     def _fit(self) -> str:
         lines = self._wrapped() if self._most > 1 else [self._text]
         first, rest = lines[: self._most - 1], "".join(lines[self._most - 1 :])
-        fitting = self.fontMetrics().elidedText(rest, Qt.TextElideMode.ElideRight, self.width())
+        fitting = elided(rest, self.fontMetrics(), self.width())
         return "\n".join([*first, "" if fitting == "\N{HORIZONTAL ELLIPSIS}" else fitting]).rstrip("\n")
 
     def paintEvent(self, _: QPaintEvent | None) -> None:  # noqa: N802 - Qt's name
@@ -80,7 +92,7 @@ class ElidedLabel(QLabel):
         self.setMinimumHeight(self._taken * self.fontMetrics().height())  # also when empty, so that nothing moves
 
     def _wrapped(self) -> list[str]:
-        layout, lines = QTextLayout(self._text, self.font()), []
+        layout, lines = QTextLayout(_BEFORE_UNIT.sub("\N{NO-BREAK SPACE}", self._text), self.font()), []
         layout.beginLayout()
         while (line := layout.createLine()).isValid():
             line.setLineWidth(self.width())
@@ -92,16 +104,6 @@ class ElidedLabel(QLabel):
 def colour_text(shown: QLabel, colour: QColor) -> None:
     """Show a text in a colour of the theme, also when the theme changes."""
     theme.restyle(shown, "tone", theme.tone(colour))
-
-
-def mark_wanted(control: QWidget, *, is_wanted: bool) -> None:
-    """Show the value of a control in amber italics while it is wanted and not in force."""
-    theme.restyle(control, "wanted", is_wanted)
-
-
-def mark_stale(shown: QWidget, *, is_stale: bool) -> None:
-    """Show results without colour while they may be outdated."""
-    theme.restyle(shown, "stale", is_stale)
 
 
 def mark_refused(control: QWidget, *, is_refused: bool) -> None:

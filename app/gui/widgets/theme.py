@@ -1,10 +1,11 @@
 """Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
 
+import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, QObject, QPointF, Qt
+from PyQt6.QtCore import QEvent, QMessageLogContext, QObject, QPointF, Qt, QtMsgType, qInstallMessageHandler
 from PyQt6.QtGui import QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
 from PyQt6.QtWidgets import QApplication, QMessageBox, QWidget
 
@@ -33,13 +34,14 @@ LIT = _pair("#ffc14d", "#a96d00")  # the lamp of a light that is on
 ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
 # An image is as dark in every theme.
 _TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
+_NO_DISPLAY = "svwfs: no window can be opened: correct DISPLAY, or run without a display: QT_QPA_PLATFORM=offscreen"
 
 
 def _style() -> str:
     return f"""
 QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
 QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
-QLabel[role="dim"], *[stale="true"] {{ color: {DIM.name()}; }}
+*[role="dim"], *[stale="true"] {{ color: {DIM.name()}; }}
 QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
 {"".join(f'*[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
 QFrame[role="rule"] {{ background: {LINE.name()}; }}
@@ -77,9 +79,13 @@ QProgressBar::chunk {{ background: {ACCENT.name()}; }}
 
 
 def styled_application() -> QApplication:
-    """Return the application, made if there is none, with its name and style, in the colours of the desktop."""
+    """Return the application, made if there is none, with its name and style, in the colours of the desktop.
+
+    A process whose display cannot be used ends here, with status 1: so nothing is started before.
+    """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
+        qInstallMessageHandler(_end_without_display)
         application = QApplication(sys.argv[:1])
     application.setApplicationName("svwfs")
     application.setStyle("Fusion")
@@ -87,6 +93,14 @@ def styled_application() -> QApplication:
     if (hints := application.styleHints()) is not None:
         hints.colorSchemeChanged.connect(lambda _: _colour(application))
     return application
+
+
+def _end_without_display(kind: QtMsgType, _context: QMessageLogContext, text: str | None) -> None:
+    """Print what Qt says of a display; end with a sentence where Qt would abort."""
+    is_fatal = kind is QtMsgType.QtFatalMsg
+    sys.stderr.write(f"{_NO_DISPLAY if is_fatal else text}\n")
+    if is_fatal:
+        os._exit(1)
 
 
 def show_ending(sentence: str, details: str) -> None:

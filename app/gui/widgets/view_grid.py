@@ -54,11 +54,10 @@ class Maps:
 
     def text_at(self, view: tuple[int, int], row: int, column: int) -> str:
         """Describe a pixel of a view, with the error of its value if that is known."""
-        value, sigma = float(self.values[view][row, column]), math.nan
-        if self.sigma is not None and math.isfinite(value):
-            sigma = float(self.sigma[view][row, column])
-        error = f" \N{PLUS-MINUS SIGN} {number(sigma, 2)}" if math.isfinite(sigma) else ""
-        return f"{self.describe(row, column, value)}{error}"
+        value = float(self.values[view][row, column])
+        sigma = math.nan if self.sigma is None or math.isnan(value) else float(self.sigma[view][row, column])
+        text, _, unit = (described := self.describe(row, column, value)).rpartition(" ")
+        return f"{text} \N{PLUS-MINUS SIGN} {number(sigma, 2)} {unit}" if math.isfinite(sigma) else described
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,6 +18,7 @@ from support.recording_crash import kill_one
 from support.simulated_scene import lose_frames, unplug
 
 from app.acquisition.devices import open_devices
+from app.acquisition.frame_path import FramePath
 from app.acquisition.instrument import Instrument
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
@@ -126,6 +129,25 @@ def test_file_that_is_shown_is_never_part_of_a_recording(acquisition: Acquisitio
     start.result(HANG_S)
     with pytest.raises(WrongState, match="is not shown during a recording"):
         shown.result(HANG_S)
+
+
+def test_reconstruction_of_a_single_frame_that_takes_seconds_is_an_activity(
+    acquisition: Acquisition, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    monkeypatch.setattr(FramePath, "process_single", lambda *_: seen.append(acquisition.activity.text))
+
+    def refine(instrument: Instrument) -> None:
+        bench = instrument.bench
+        instrument.bench = replace(bench, reconstruction=replace(bench.reconstruction, refine=True))
+
+    frame: Any = None
+    acquisition.show_single(lambda _: frame).result(HANG_S)
+    acquisition.show_single(lambda _: frame, "file.npy").result(HANG_S)
+    acquisition.commands.submit(refine).result(HANG_S)
+    acquisition.show_single(lambda _: frame).result(HANG_S)
+    assert seen == ["", "reconstructing the frame", "reconstructing the frame"]
+    assert not acquisition.activity.text
 
 
 @pytest.mark.slow

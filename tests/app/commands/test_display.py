@@ -4,12 +4,23 @@ from __future__ import annotations
 
 import os
 import socket
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from app.commands.display import use_display
+
+# A start of an instrument is only printed: one that a failed test left would run on.
+_PROGRAM = """
+import svwfs, sys
+from app.acquisition.remote.own_instrument import OwnInstrument
+OwnInstrument.start = lambda *_: print("an instrument is started")
+sys.argv = ["svwfs", *sys.argv[1:]]
+svwfs.main()
+"""
 
 pytestmark = pytest.mark.posix  # displays of Linux
 
@@ -50,3 +61,17 @@ def test_display_of_another_computer_is_believed(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("DISPLAY", "server:0")
     assert use_display()
     assert "WAYLAND_DISPLAY" not in os.environ  # Qt would try it first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [("live",), ("live", "--seconds", "1"), ("benchmark", "--live", "5")])
+def test_unusable_display_ends_the_program_before_an_instrument_is_started(
+    command: tuple[str, ...], tmp_path: Path
+) -> None:
+    environment = {**os.environ, "QT_QPA_PLATFORM": "none_such", "SVWFS_RUNTIME_DIR": str(tmp_path)}
+    program = [sys.executable, "-c", _PROGRAM, *command]
+    ended = subprocess.run(  # noqa: S603 - this interpreter
+        program, check=False, env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr.splitlines()[-1].startswith("svwfs: no window can be opened: ")

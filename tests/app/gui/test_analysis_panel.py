@@ -288,7 +288,7 @@ def test_tiles_show_the_error_and_hatch_what_is_not_well_known(make_window: Make
     assert np.argwhere(maps.unsure).tolist() == [[0, 0, 2, 5]]
     tile = panel.grid.places.tile(0, 0)
     at = QPoint((2 * 5 + 1) * tile.width() // (2 * 13), (2 * 2 + 1) * tile.height() // (2 * 9))  # of 9 x 13 lenslets
-    under_cursor = f" rad \N{PLUS-MINUS SIGN} {number(0.11 * value_rad, 2)}"
+    under_cursor = f" \N{PLUS-MINUS SIGN} {number(0.11 * value_rad, 2)} rad"
     assert panel.grid._value_at(tile.topLeft() + at).splitlines()[0].endswith(under_cursor)
     heads, *rows = panel.grid.table().splitlines()
     assert heads.endswith("value (rad)\tstandard deviation (rad)")
@@ -302,7 +302,7 @@ def test_tiles_show_the_error_and_hatch_what_is_not_well_known(make_window: Make
     assert enlarged.map.maps is not None
     assert enlarged.map.maps.unsure is not None
     assert not enlarged.map.maps.unsure.any()  # those of the first view are not its own
-    assert f" \N{PLUS-MINUS SIGN} {number(0.05 * value_rad, 2)}; contours" in enlarged.text.text()
+    assert f" \N{PLUS-MINUS SIGN} {number(0.05 * value_rad, 2)} rad; contours" in enlarged.text.text()
     error = number(0.05 * value_rad, 1)
     assert panel.grid.captions[1, 1][0][2].endswith(f" \N{PLUS-MINUS SIGN} {error} rad")
     mean_rad = np.sqrt((sigma_rad**2).mean(axis=(2, 3))).mean()

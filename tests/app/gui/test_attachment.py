@@ -215,8 +215,6 @@ def test_commands_of_a_window_that_watches_are_refused_with_a_sentence(
         qtbot.waitUntil(panel.record.isChecked)
         assert not panel.record.isEnabled()
         is_refused(lambda: bar.stop_after.entered.emit(5.0))
-        window.controller.end_instrument()
-        qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
         window.quit()  # asks nothing: the instrument goes on for the notebook
         qtbot.waitUntil(lambda: not window.isVisible())
     assert server.acquisition.is_alive
@@ -263,8 +261,7 @@ def test_recording_goes_on_when_the_window_opens_another_bench(
 def test_end_of_the_instrument_is_told_and_reconnecting_says_that_none_runs(
     window: MainWindow, server: Server, qtbot: QtBot
 ) -> None:
-    window.controller.end_instrument()
-    window.messages.accept.click()
+    server.end()
     qtbot.waitUntil(lambda: "the instrument was shut down" in said_in(window))
     qtbot.waitUntil(lambda: not server.acquisition.is_alive)
     assert window.controller.left == "the instrument was shut down"
@@ -280,9 +277,8 @@ def test_a_window_that_runs_the_instrument_itself_has_nothing_to_leave(
     asked = choose_button(monkeypatch, "Cancel")
     assert not window.controller.ask_to_leave(lambda: None, window)
     assert not asked
-    for command in (window.controller.take_control, window.controller.end_instrument):
-        command()
-        qtbot.waitUntil(lambda: "runs the instrument itself" in said_in(window))
+    window.controller.take_control()
+    qtbot.waitUntil(lambda: "runs the instrument itself" in said_in(window))
 
 
 def test_result_that_cannot_be_sent_is_one_sentence_and_the_next_is_shown(

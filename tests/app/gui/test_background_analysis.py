@@ -64,6 +64,13 @@ def test_repeated_request_is_ignored_and_new_wavefront_waits(analysis: Analysis)
     assert analysis.is_busy
 
 
+def test_first_analysis_which_imports_packages_does_not_delay_the_next(analysis: Analysis) -> None:
+    analysis.submit(made(1, partial(time.sleep, 1.0)))
+    wait(analysis)
+    analysis.submit(made(2, lambda: None, interval_s=0.2))
+    assert analysis.is_busy
+
+
 def test_error_of_analysis_is_returned_and_thread_continues(analysis: Analysis) -> None:
     def fail() -> None:
         raise NotImplementedError("broken")
@@ -77,6 +84,8 @@ def test_error_of_analysis_is_returned_and_thread_continues(analysis: Analysis) 
 def test_slow_analysis_leaves_the_measurement_most_of_a_core(analysis: Analysis) -> None:
     requested_s: list[float] = []
     number = 0
+    analysis.submit(made(number, lambda: None))
+    wait(analysis)
     while len(requested_s) < 5:
         number += 1
         analysis.submit(made(number, partial(time.sleep, 0.05)))

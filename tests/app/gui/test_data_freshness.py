@@ -66,8 +66,9 @@ def test_live_frame_has_no_badge(live: tuple[MainWindow, FakeCamera]) -> None:
     assert data_freshness(status, "", Activity("taking the dark", 0.5), now) == DataFreshness()
     old = replace(newest, exposure_end_s=newest.exposure_end_s - 200)
     preparing = data_freshness(status, "", Activity("preparing the reconstruction"), old)
-    assert preparing == DataFreshness("PAUSED, 3 min old", "preparing the reconstruction", is_grey=True)
-    assert data_freshness(status, "", Activity(), old).reason == "no newer frame has come yet"
+    assert preparing == DataFreshness("BUSY, 3 min old", "preparing the reconstruction", is_grey=True)
+    late = data_freshness(status, "", Activity(), old)
+    assert late == DataFreshness("LATE, 3 min old", "no newer frame has come yet", is_grey=True)
     assert data_freshness(status, "", Activity(), replace(old, latency_s=150.0)) == DataFreshness()  # of a slow method
     renamed = replace(status, light_name=RecordedLight.name)  # a name makes no replay
     assert data_freshness(renamed, "", Activity(), now) == DataFreshness()
@@ -148,6 +149,8 @@ def test_late_frame_is_not_blamed_on_a_slow_method_or_a_command(live: tuple[Main
     old = replace(newest, exposure_end_s=time.perf_counter() - 7.0, latency_s=0.02)
     assert advice(status, Activity(), old) == "no newer frame has come for 7 s"
     assert advice(status, Activity(), replace(old, latency_s=4.0)).endswith("7 s: the method needs 4 s for each")
+    single = Activity("reconstructing the frame", may_cancel=False)  # of a file or a replay
+    assert advice(status, single, old) == "reconstructing the frame"
 
 
 @pytest.mark.slow

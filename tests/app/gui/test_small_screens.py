@@ -30,6 +30,7 @@ from app.gui.panels.panel import DataFreshness
 from app.gui.shell.controller import Controller
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.recording import RecordingPanel
+from app.gui.widgets import theme
 from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.theme import styled_application
 from app.measurement.measurement import FrameTotals
@@ -296,6 +297,32 @@ def test_text_takes_a_second_line_and_then_an_ellipsis(qtbot: QtBot) -> None:
     assert made.shown.endswith("\N{HORIZONTAL ELLIPSIS}")
     made.setText("short")
     assert made.minimumHeight() == 2 * line  # nothing jumps
+
+
+def test_text_is_cut_after_a_word_and_no_line_begins_with_a_unit(qtbot: QtBot) -> None:
+    made = ElidedLabel(lines=2)
+    qtbot.addWidget(made)
+    made.show()
+    words = ["the", "dark", "was", "taken", "at", "27.8", "ms:", "take", "it", "again,", "then", "the", "reference"]
+    for width in range(110, 400):
+        made.resize(width, 40)
+        made.setText(" ".join(words))
+        assert "\nms" not in made.shown
+        shown = made.shown.replace("\n", " ").removesuffix(ELLIPSIS).split()
+        assert [each.rstrip(":,") for each in shown] == [each.rstrip(":,") for each in words[: len(shown)]]
+    made.resize(150, 40)
+    made.setText("20261129-101500-a_name_without_a_space_that_is_long")  # cut anywhere rather than missing
+    assert made.shown.startswith("20261129")
+
+
+def test_time_of_a_recording_is_red(qtbot: QtBot) -> None:
+    panel = RecordingPanel()
+    qtbot.addWidget(panel)
+    panel.setStyleSheet(theme._style())
+    panel.show()
+    for state, colour in ((None, theme.DIM), (RecordingState(Path("run"), "recording", 9, 0, 1.0, ""), theme.RED)):
+        panel.show_state(state)
+        assert panel.text.palette().color(panel.text.foregroundRole()).name() == colour.name()
 
 
 def test_disk_space_gives_way_to_what_happens_in_the_recording(qtbot: QtBot) -> None:
