@@ -51,10 +51,11 @@ class CoefficientsPanel(Panel):
         self.plot.graphics.scene().sigMouseClicked.connect(self._click)
         self.numbers = _Table()
         self.numbers.setAccessibleName("Coefficients")
+        self.numbers.cellClicked.connect(lambda row, _: self.pin(None if row + 1 == self._mapped else row + 1))
         self._stack = QStackedWidget()
         self._stack.addWidget(self.plot)
         self._stack.addWidget(self.numbers)
-        self.map = ViewGrid((80, 50), empty="Click a bar\nto map it over the field", is_captioned=False)
+        self.map = ViewGrid((80, 50), empty="Click a coefficient\nto map it over the field", is_captioned=False)
         self.map.setAccessibleName("Coefficient over the field")
         header = row((self.plot.title, 1), self.of, self.basis, self.table_toggle)
         column(header, (row((self._stack, 3), (self.map, 2), spacing=12), 1), parent=self)
@@ -169,8 +170,7 @@ class CoefficientsPanel(Panel):
 
     def _click(self, event: Any) -> None:  # pyqtgraph declares no types
         mode = round(self.plot.view.mapSceneToView(event.scenePos()).x())
-        is_left = event.button() == Qt.MouseButton.LeftButton
-        if is_left and self._found is not None and 1 <= mode < len(self._found.rad):
+        if event.button() == Qt.MouseButton.LeftButton and self._found is not None and 1 <= mode < len(self._found.rad):
             self.pin(None if mode == self._mapped else mode)
 
 

@@ -193,6 +193,11 @@ def test_table_has_every_mode_with_its_error(window: MainWindow, qtbot: QtBot) -
     assert sigma.text()
     assert panel._found is not None
     assert panel.numbers.rowCount() == len(panel._found.names) - 1
+    viewport, at = panel.numbers.viewport(), panel.numbers.visualItemRect(name).center()
+    assert viewport is not None
+    for pinned in ("L3 P2(x), view", ""):  # a click as on its bar
+        click(qtbot, viewport, at)
+        assert panel.name == pinned
 
 
 def save_csv(window: MainWindow, panel: Panel, path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
