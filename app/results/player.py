@@ -150,8 +150,8 @@ class Player:
         return {} if self._camera is None else dict(self._camera.damaged)
 
     def position_of(self, frame: Frame) -> int | None:
-        """Return the position of a frame that was played lately."""
-        return next((position for time_s, position in reversed(self._recent) if time_s == frame.camera_time_s), None)
+        """Return the position of a frame that was played lately, also while the worker plays others."""
+        return next((at for time_s, at in reversed(self._recent.copy()) if time_s == frame.camera_time_s), None)
 
     def overview(self) -> Overview:
         """Read the lines of all played frames, which takes a second for ten thousand."""

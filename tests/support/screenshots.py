@@ -84,6 +84,7 @@ class Photographer:
         replayed.open(InstrumentFactory(player.acquisition, player.begin, player))
         self._wait(lambda: _is_live(replayed))
         replayed.replay.slider.setValue(20)
+        self._wait(lambda: replayed.replay.play.text() == "Play")  # the frame is reconstructed
         self._save("replay", replayed)
         self._close(replayed)
 

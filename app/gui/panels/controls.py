@@ -60,7 +60,7 @@ class ControlsPanel(Panel):
                 *(self.light, captioned("Current (mA)", self.current)),
                 *(self.lattice, self.auto_exposure, self.dark, self.reference, self.calibrate, self.refine),
                 *(captioned("Exposure (ms)", self.exposure), captioned("Gain", self.em_gain)),
-                *(captioned("Mask", self.choices["mask"]), captioned("Frames in a mean", self.frames)),
+                *(captioned("Frames in a mean", self.frames), captioned("Mask", self.choices["mask"])),
                 *(captioned("Amplifier", self.choices["amplifier"]), captioned("Speed", self.choices["readout_speed"])),
             )
         ):

@@ -9,6 +9,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -207,6 +209,23 @@ def test_speed_multiplies_the_recorded_rate(window: MainWindow, qtbot: QtBot, re
     recorded_s = np.diff([recording.line(index).host_time_s for index in range(2, FRAMES)])
     shortest_s = min(recorded_s.min(), recording.line(0).exposure_s)  # at the repeat the exposure takes its place
     assert np.diff(times_s[2:]).min() >= 0.999 * 4 * shortest_s  # two may have been scheduled before
+
+
+def test_frame_is_looked_up_while_the_worker_plays_the_next(recording: Recording) -> None:
+    player = Player(recording.folder)
+    player._recent.extend([(1.0, 1), (2.0, 2)])
+
+    class Time(float):
+        """A time during whose comparison another frame is played."""
+
+        __hash__ = float.__hash__
+
+        def __eq__(self, other: object) -> bool:
+            player._recent.append((3.0, 3))
+            return float(self) == other
+
+    frame: Any = SimpleNamespace(camera_time_s=Time(1.0))
+    assert player.position_of(frame) == 1
 
 
 @pytest.fixture
