@@ -27,7 +27,7 @@ from app.gui.widgets.timers import timer
 _OPTIONS = QMainWindow.DockOption
 _MARGIN_PX = 8  # between the contents of a panel and its edge
 _AROUND_PX, _CONTROLS_PX = 70, 300  # height of all else than the maps, without the width of their scale; width
-_UPPER = 0.57  # most of the height for camera and controls
+_UPPER = 0.595  # most of the height for camera and controls
 _LOW_PX = 600  # on lower screens the camera is one of the tabs
 _SIDES = {Qt.DockWidgetArea.LeftDockWidgetArea, Qt.DockWidgetArea.RightDockWidgetArea}
 
@@ -173,7 +173,7 @@ class PanelDocks:
         window.resizeDocks([camera, controls], [max(left - _CONTROLS_PX, 1), _CONTROLS_PX], Qt.Orientation.Horizontal)
         # The camera has half of the height at least; with large texts the controls scroll, so that plots keep room.
         room = window.height() - _AROUND_PX
-        needed = controls.sizeHint().height() + 2 * window.fontMetrics().height()
+        needed = controls.sizeHint().height() + 3 * window.fontMetrics().height()
         upper = min(max(needed, room // 2), round(_UPPER * room))
         window.resizeDocks([camera, first], [upper, room - upper], Qt.Orientation.Vertical)
         self._arrange()

@@ -17,6 +17,7 @@ from PyQt6.QtWidgets import (
     QLabel,
     QLineEdit,
     QPushButton,
+    QScrollArea,
     QStyle,
     QStyleOptionButton,
     QStyleOptionComboBox,
@@ -345,3 +346,19 @@ def test_recording_bar_leaves_the_controls_in_place(make_window: MakeWindow) -> 
     settle()
     assert window.recording_bar.isVisible()
     assert window.controls.mapTo(window, QPoint()) == before
+
+
+@pytest.mark.usefixtures("restored_theme")
+def test_controls_need_no_scroll_bar_on_a_small_screen_while_frames_are_recorded(make_window: MakeWindow) -> None:
+    styled_application()
+    window = make_window()
+    window.resize(1270, 680)  # of 1280 x 720, without the frame of a window manager
+    window.docks.restore_default()
+    window.controls.method.setText("Method: Gauss-Newton, quartic, 190 modes")
+    window.recording_bar.prepare()
+    settle()
+    area = window.controls.findChild(QScrollArea)
+    assert area is not None
+    bar = area.verticalScrollBar()
+    assert bar is not None
+    assert not bar.isVisible()
