@@ -90,6 +90,27 @@ for child in children:
 print(*(child.pid for child in children), flush=True)
 time.sleep(600)
 """
+GIGE_CAMERA = """
+import ctypes, time
+from drivers.genicam._library import load_library
+
+aravis = load_library()[0]
+aravis.arv_gv_fake_camera_new.restype = ctypes.c_void_p
+camera = ctypes.c_void_p(aravis.arv_gv_fake_camera_new(b"127.0.0.1", b"svwfs"))
+assert camera and aravis.arv_gv_fake_camera_is_running(camera)
+time.sleep(600)
+"""
+GIGE_BENCH = """
+[camera]
+driver = "genicam"
+device = "127.0.0.1"
+exposure_s = 0.01
+frame_rate_hz = 25.0
+region = { top = 8, left = 16, rows = 96, columns = 128 }
+
+[light]
+driver = "manual"
+"""
 CLOSE_CONSOLE = """
 import ctypes, sys, time
 windows, user = ctypes.windll.kernel32, ctypes.windll.user32
@@ -321,6 +342,16 @@ def check_camera() -> str:
     return said.strip().splitlines()[-1].strip()
 
 
+def check_gige_camera() -> str:
+    """The camera is that of Aravis for tests, in a process of its own."""
+    setup = (WORK / "lab.toml").read_text().partition("[camera]")[0]
+    (WORK / "gige.toml").write_text(setup + GIGE_BENCH)
+    with program(sys.executable, "-c", GIGE_CAMERA):
+        wait_until("a GigE camera", lambda: 'driver = "genicam"' in svwfs("devices"))
+        said = svwfs("devices", "--check", "camera", "--bench", "gige.toml")
+    return said.strip().splitlines()[-1].strip()
+
+
 def light_off() -> str:
     said = svwfs("light-off", "--bench", "lab.toml")
     expect("the light is on", is_so=not changes()[-1][1])
@@ -430,6 +461,7 @@ LINES: dict[str, Callable[[], str]] = {
     "report": report,
     "devices": devices,
     "devices --check camera": check_camera,
+    "devices --check camera, GigE": check_gige_camera,
     "devices --check light": check_light,
     "light-off": light_off,
     "serve, DCAM and serial light": lab,
