@@ -203,7 +203,7 @@ class GenicamCamera(Camera):
         size, padding = c_size_t(), c_int()
         address = self._aravis.call("arv_buffer_get_data", buffer, byref(size))
         status = self._aravis.call("arv_buffer_get_status", buffer)
-        if self._aravis.has("arv_buffer_get_image_padding"):
+        if status == STATUS_SUCCESS and self._aravis.has("arv_buffer_get_image_padding"):  # else it complains
             self._aravis.call("arv_buffer_get_image_padding", buffer, byref(padding), byref(c_int()))
         needed = self._format.size_bytes(rows * columns) + (rows - 1) * padding.value
         if status != STATUS_SUCCESS or size.value < needed:
