@@ -116,6 +116,16 @@ def test_a_busy_writer_never_gives_a_torn_record(ring: RingWriter) -> None:
         thread.join()
 
 
+def test_ring_that_a_reader_has_open_can_be_closed(tmp_path: Path) -> None:
+    """Windows removes no file that is open."""
+    writer = RingWriter(20_000, tmp_path / "ring")
+    writer.write(record(1), 1)
+    with closing(RingReader(writer.name)) as reader:
+        writer.close()
+        assert reader.read(1) is not None
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.posix  # Windows has no file of it
 def test_another_file_is_no_ring(tmp_path: Path) -> None:
     other = tmp_path / "other"

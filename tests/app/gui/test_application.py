@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import signal
@@ -10,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from PyQt6.QtCore import QTimer
@@ -65,6 +67,22 @@ def run_headless(
 
 def run_attended(camera: FakeCamera) -> int:
     return run_window(lambda window: window.open(InstrumentFactory(lambda: Acquisition(BENCH, opener(camera)))))
+
+
+def test_taskbar_of_windows_joins_the_window_with_its_shortcut(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The process takes the identity before it makes a window."""
+    taken: list[str] = []
+
+    def make(**_: object) -> None:
+        raise LookupError
+
+    shell = SimpleNamespace(SetCurrentProcessExplicitAppUserModelID=taken.append)
+    monkeypatch.setattr("app.gui.shortcut.sys", SimpleNamespace(platform="win32"))
+    monkeypatch.setattr(ctypes, "windll", SimpleNamespace(shell32=shell), raising=False)
+    monkeypatch.setattr("app.gui.application.MainWindow", make)
+    with pytest.raises(LookupError):
+        run_attended(FakeCamera())
+    assert taken == ["svwfs.window"]
 
 
 @pytest.mark.slow
