@@ -496,7 +496,7 @@ def main() -> int:
             text = f"{name:34} {'ok    ' if is_good else 'FAILED'} {time.monotonic() - begin_s:6.1f} s  {result}"
             table.append(text)
             print(text, flush=True)  # noqa: T201 - progress
-    table = ["", f"on Windows, {sys.version.split(' (')[0]}", *table, f"{failures} of {len(table)} lines fail"]
+    table = ["", f"on {sys.platform}, {sys.version.split(' (')[0]}", *table, f"{failures} of {len(table)} lines fail"]
     print("\n".join(table))  # noqa: T201 - the result
     return min(failures, 1)
 
