@@ -5,6 +5,9 @@ refined; its curvature at the maximum gives the error bars, to which systematic 
 A layer before the lenslets has a negative ratio of field to pupil position; a relay can put one behind them. Noise can
 favour a place behind them by far, so layers are sought there only if none before them explain the displacements.
 
+Layers differ in strength. Taken for alike, two are found closer to each other than they are, where they explain less
+noise. So the strengths of their priors are found with the distances.
+
 Where two layers are needed, the sample may have depth. A *slab* stands for that: three layers, one between the others,
 so that two ends are found, as two layers are. It explains two thin layers nearly as well as they do.
 """
@@ -40,6 +43,7 @@ _FARTHEST = 0.97  # of |t|
 _ROUGH, _TOLERANCE = 2e-3, 1e-4  # of t
 _SPACING = float(_GRID[1] - _GRID[0])
 _STEP = 2e-3  # of t, for the curvature
+_WEAKER, _WEAKEST = 1.0, 7.0  # steps to a weaker layer, and the most of them, in the logarithm of its strength
 _SLAB = np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0]])  # from the ends to the layers of a slab
 # Misfit beyond that of any wavefront, of all displacements, above which there are other layers; below the first, or the
 # second if the source hides displacements, it may be that of the registration. Single screens leave 0.004, and 0.017 in
@@ -147,7 +151,8 @@ def search_layers(
         }
         fits = []
         for start in sorted(starts, key=max):  # those before the lenslets first
-            fits.append(_refined(equations, check, np.array(start), np.eye(len(start))))
+            is_sketched = len(start) == 2 and count is None  # else it would take several times as long
+            fits.append(_refined(equations, check, np.array(start), np.eye(len(start)), is_sketched=is_sketched))
             if explains(fits[-1].quality, any_wavefront):
                 return fits[-1]
         return max(fits, key=lambda fit: fit.quality.log_evidence)
@@ -161,7 +166,7 @@ def search_layers(
         two = best_of({pair: sketch_at(*pair) for pair in combinations(_GRID_OF_TWO, 2)})
         if count is None:
             ends = np.array([layer.ratio / (1 + abs(layer.ratio)) for layer in two.layers])
-            slab = _refined(equations, check, ends, _SLAB, is_sketched=True)  # else it would take ten times as long
+            slab = _refined(equations, check, ends, _SLAB, is_sketched=True)
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([quality.misfit for quality in tried.values()]),
@@ -186,24 +191,33 @@ def _refined(
     """Maximise the evidence over some distances, from a start (n,) in t, and find their error bars.
 
     The ratios of the layers are `layers_of` (layer, n) times those of the distances. The evidence is that of
-    all polynomials, or of those of the sketch.
+    all polynomials, or of those of the sketch, which also gives the strengths of the layers.
     """
+    count = len(start)
 
-    def ratios(t: Floats) -> Floats:
+    def ratios(t: Floats) -> list[float]:
         check()
-        return np.asarray(layers_of @ np.vectorize(_ratio)(t))
+        return (layers_of @ np.vectorize(_ratio)(t)).tolist()  # type: ignore[no-any-return] # of floats
+
+    def strengths_of(logarithms: Floats) -> tuple[float, ...]:
+        return 1.0, *np.exp(np.clip(logarithms, -_WEAKEST, _WEAKEST)).tolist()
+
+    def sketched_cost(t: Floats, strengths: tuple[float, ...]) -> float:
+        return -equations.quality(*ratios(t), degree=SKETCH_DEGREE, strengths=strengths).log_evidence
+
+    steps = np.r_[np.full(count, _SPACING / 2), np.full(len(layers_of) - 1, -_WEAKER)]
+    begin = np.r_[start, np.zeros(len(layers_of) - 1)]
+    rough = _minimum(lambda all_: sketched_cost(all_[:count], strengths_of(all_[count:])), begin, steps, _ROUGH)
+    strengths = strengths_of(rough[count:])
 
     def fit_at(t: Floats) -> LayerFit:
-        return equations.fit(*ratios(t).tolist())
-
-    def sketched_cost(t: Floats) -> float:
-        return -equations.quality(*ratios(t).tolist(), degree=SKETCH_DEGREE).log_evidence
+        return equations.fit(*ratios(t), strengths=strengths)
 
     def cost(t: Floats) -> float:
-        return sketched_cost(t) if is_sketched else -fit_at(t).quality.log_evidence
+        return sketched_cost(t, strengths) if is_sketched else -fit_at(t).quality.log_evidence
 
-    rough = _minimum(sketched_cost, start, _SPACING / 2, _ROUGH)
-    best = np.clip(_minimum(cost, rough, _SPACING / 8, _TOLERANCE), -_FARTHEST + _STEP, _FARTHEST - _STEP)
+    refined = _minimum(cost, rough[:count], np.full(count, _SPACING / 8), _TOLERANCE)
+    best = np.clip(refined, -_FARTHEST + _STEP, _FARTHEST - _STEP)
     fit = fit_at(best)
     before, after = ([fit_at(best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
     systematic = equations.distance_covariance(fit, before, after, _STEP)
@@ -217,9 +231,9 @@ def _refined(
     return replace(fit, layers=tuple(layers[i] for i in order), ratio_covariance=covariance[np.ix_(order, order)])
 
 
-def _minimum(cost: Callable[[Floats], float], start: Floats, step: float, tolerance: float) -> Floats:
-    """Minimise a cost by the method of Nelder and Mead from a simplex with a corner at `start` (n,)."""
-    simplex = start + step * np.concatenate([np.zeros((1, len(start))), np.eye(len(start))])
+def _minimum(cost: Callable[[Floats], float], start: Floats, steps: Floats, tolerance: float) -> Floats:
+    """Minimise a cost by the method of Nelder and Mead from a simplex of `steps` (n,) with a corner at `start` (n,)."""
+    simplex = start + np.concatenate([np.zeros((1, len(start))), np.diag(steps)])
     options = {"initial_simplex": simplex, "xatol": tolerance, "fatol": 0.02, "maxiter": 200}
     found = scipy.optimize.minimize(cost, start.ravel(), method="Nelder-Mead", options=options)  # type: ignore[call-overload] # its own stubs want 1-D
     return np.asarray(found.x)

@@ -261,10 +261,10 @@ class FrameEquations:
         self._products: dict[tuple[float, float, int], Floats] = {}
         self._columns: dict[tuple[float, int], Floats] = {}
 
-    def fit(self, *ratios: float) -> LayerFit:
-        """Fit layers at some ratios of field to pupil position."""
-        components, vectors = self._components(ratios, self.solver.degree)
-        estimate, scale = components.estimate(), np.tile(prior_scale(self.solver.degree), len(ratios))
+    def fit(self, *ratios: float, strengths: tuple[float, ...] = ()) -> LayerFit:
+        """Fit layers at some ratios of field to pupil position; their priors have the same strength by default."""
+        components, vectors, scale = self._components(ratios, strengths, self.solver.degree)
+        estimate = components.estimate()
         variance = estimate.noise * estimate.ratio / (1 + estimate.ratio * components.singular**2)
         found, root = scale * (vectors @ estimate.values), scale[:, None] * vectors * np.sqrt(variance)
         first = 1 if len(ratios) == 1 else 3  # the tilts of two layers cannot be told apart
@@ -276,9 +276,9 @@ class FrameEquations:
         )
         return LayerFit(layers, components.quality(), np.zeros((len(layers), len(layers))))
 
-    def quality(self, *ratios: float, degree: int) -> FitQuality:
-        """Quality of the fit of layers with polynomials up to a degree."""
-        return self._components(ratios, degree)[0].quality()
+    def quality(self, *ratios: float, degree: int, strengths: tuple[float, ...] = ()) -> FitQuality:
+        """Quality of the fit of layers with polynomials up to a degree; see `fit`."""
+        return self._components(ratios, strengths, degree)[0].quality()
 
     def any_wavefront(self) -> FitQuality:
         """Quality of the fit of a wavefront without assuming layers."""
@@ -304,18 +304,22 @@ class FrameEquations:
         each = [self.solver.rows(layer.ratio, self.solver.degree) @ layer.coefficients for layer in fit.layers]
         return np.asarray(np.sum(each, axis=0))
 
-    def _components(self, ratios: tuple[float, ...], degree: int) -> tuple[Components, Floats]:
-        """The displacements in components of layers, in units of the prior, and the vectors of these."""
+    def _components(
+        self, ratios: tuple[float, ...], strengths: tuple[float, ...], degree: int
+    ) -> tuple[Components, Floats, Floats]:
+        """The displacements in components of layers, in units of the prior, the vectors of these, and the prior."""
         scale = prior_scale(degree)
         for ratio in ratios:
             if (ratio, degree) not in self._columns:
                 # In double precision, as the products below: layers close to each other differ little.
                 self._columns[ratio, degree] = scale * (self._frame.weighted.ravel() @ self._rows(ratio, degree))
+        strength = np.repeat(strengths or np.ones(len(ratios)), len(scale))
         gram = np.block([[self._product(one, other, degree, scale) for other in ratios] for one in ratios])
-        columns = np.concatenate([self._columns[ratio, degree] for ratio in ratios])
-        singular, vectors = principal(gram)
+        columns = strength * np.concatenate([self._columns[ratio, degree] for ratio in ratios])
+        singular, vectors = principal(strength[:, None] * gram * strength)
         along = divided(columns @ vectors, singular)
-        return Components(singular, along, self._frame.total, self._frame.number), vectors
+        components = Components(singular, along, self._frame.total, self._frame.number)
+        return components, vectors, strength * np.tile(scale, len(ratios))
 
     def _product(self, one: float, other: float, degree: int, scale: Floats) -> Floats:
         """Product of the design matrices of two layers in units of the prior, (k, k)."""
