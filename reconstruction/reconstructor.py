@@ -326,17 +326,19 @@ class Reconstructor:
         if (made := self._of(displacement)) is not self:
             return made.solve(displacement, bias=bias, sample=sample)
         try:
-            return self._solve(displacement if bias is None else displacement.minus(bias), sample)
+            if bias is None:
+                return self._solve(displacement, sample)
+            return self._solve(displacement.minus(bias), sample, is_corrected=True)
         except ReconstructionError as error:
             if np.all(displacement.valid):
                 raise
             raise ReconstructionError(f"{error}; {_why_lost(displacement.outcome)}", image="frame") from error
 
-    def _solve(self, displacement: Displacement, sample: AssumedSample) -> Wavefront:
+    def _solve(self, displacement: Displacement, sample: AssumedSample, *, is_corrected: bool = False) -> Wavefront:
         weights = self.weights_of(displacement)
         solution: Solution
         if sample.ratios:
-            solution = self._layered(displacement, weights, sample)
+            solution = self._layered(displacement, weights, sample, is_corrected=is_corrected)
         elif self._modal is None:
             solution = ZonalSolution(self.sensor, displacement, weights * self._certainty)
         else:

@@ -167,6 +167,9 @@ def search_layers(
         if count is None:
             ends = np.array([layer.ratio / (1 + abs(layer.ratio)) for layer in two.layers])
             slab = _refined(equations, check, ends, _SLAB, is_sketched=True)
+            if two.quality.log_evidence > slab.quality.log_evidence:  # then its ends are these two
+                between = equations.fit(*(_SLAB @ [layer.ratio for layer in two.layers]).tolist())
+                slab = _placed(between, _SLAB @ two.ratio_covariance @ _SLAB.T)
     return LayerSearch(
         ratios=np.array([_ratio(t) for t in _GRID]),
         misfits=np.array([quality.misfit for quality in tried.values()]),
@@ -199,14 +202,15 @@ def _refined(
         check()
         return (layers_of @ np.vectorize(_ratio)(t)).tolist()  # type: ignore[no-any-return] # of floats
 
-    def strengths_of(logarithms: Floats) -> tuple[float, ...]:
-        return 1.0, *np.exp(np.clip(logarithms, -_WEAKEST, _WEAKEST)).tolist()
+    def strengths_of(logarithms: Floats) -> tuple[float, ...]:  # those within a slab lie between those of its ends
+        ends = np.concatenate([[0.0], np.clip(logarithms, -_WEAKEST, _WEAKEST)])
+        return tuple(np.exp(layers_of @ ends).tolist())
 
     def sketched_cost(t: Floats, strengths: tuple[float, ...]) -> float:
         return -equations.quality(*ratios(t), degree=SKETCH_DEGREE, strengths=strengths).log_evidence
 
-    steps = np.r_[np.full(count, _SPACING / 2), np.full(len(layers_of) - 1, -_WEAKER)]
-    begin = np.r_[start, np.zeros(len(layers_of) - 1)]
+    steps = np.concatenate([np.full(count, _SPACING / 2), np.full(count - 1, -_WEAKER)])
+    begin = np.concatenate([start, np.zeros(count - 1)])
     rough = _minimum(lambda all_: sketched_cost(all_[:count], strengths_of(all_[count:])), begin, steps, _ROUGH)
     strengths = strengths_of(rough[count:])
 
@@ -222,7 +226,11 @@ def _refined(
     before, after = ([fit_at(best + side * step) for step in _STEP * np.eye(len(best))] for side in (-1, 1))
     systematic = equations.distance_covariance(fit, before, after, _STEP)
     per_t = layers_of * np.array([(1 + abs(_ratio(each))) ** 2 for each in best])
-    covariance = per_t @ (_inverse(_curvature(cost, best)) + systematic) @ per_t.T
+    return _placed(fit, per_t @ (_inverse(_curvature(cost, best)) + systematic) @ per_t.T)
+
+
+def _placed(fit: LayerFit, covariance: Floats) -> LayerFit:
+    """A fit with the covariance of its ratios, its layers in order."""
     order = np.argsort([layer.ratio for layer in fit.layers])
     layers = [
         replace(layer, ratio_sigma=float(sigma))

@@ -133,8 +133,10 @@ class LayeredWavefronts:
         self._slopes = Remembered[_Slopes](12)  # of 1 MB
         self._known = Remembered[KnownModes](4)
 
-    def __call__(self, displacement: Displacement, weights: Floats | None, sample: AssumedSample) -> ModalSolution:
-        """Fit layers at the ratios of the sample.
+    def __call__(
+        self, displacement: Displacement, weights: Floats | None, sample: AssumedSample, *, is_corrected: bool = False
+    ) -> ModalSolution:
+        """Fit layers at the ratios of the sample to displacements, which may be corrected for the registration's bias.
 
         Raises `ReconstructionError` if too few lenslets are valid.
         """
@@ -148,7 +150,8 @@ class LayeredWavefronts:
         design, (singular, _, spread), estimate, values, _ = fit
 
         def deviations() -> Deviations:
-            deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS))
+            has_depth = len(sample.ratios) > 1 and not is_corrected
+            deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS, has_depth=has_depth))
             of_distances = self._of_distances(sample, frame)
             others = np.zeros((shape[0] - 1, shape[1], of_distances.shape[1]), np.float32)
             others[columns] = of_distances

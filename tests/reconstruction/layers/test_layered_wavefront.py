@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -22,6 +23,7 @@ from support.polynomial_layers import (
 )
 
 from reconstruction.arrays import Floats
+from reconstruction.displacement import SYSTEMATIC_PX
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_search import LayerSearch, search_layers
 from reconstruction.layers.layer_solver import FrameEquations, Layer, LayerFit, LayerModes
@@ -110,6 +112,21 @@ def test_faint_lenslets_count_less() -> None:
     expected = FrameEquations(SOLVER, measured, weights).fit(-0.975).wavefront(SENSOR, *VIEWS_M[1])
     assert np.std(found.wavefront(at(*VIEWS_M[1])) - expected) < 1e-3 * np.std(expected)
     assert found.sigma(at(0, 0)).mean() > 1.1 * WAVEFRONTS(measured, None, sample).sigma(at(0, 0)).mean()
+
+
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_error_bars_behind_a_sample_with_depth_are_larger_until_it_is_corrected(name: str) -> None:
+    """By what errors of 6 lenslets that are alike add: their share of the variance, of one layer squared."""
+    ratios = (-0.8,) if name == "one" else (FAR, NEAR)
+    measured = displacement(noisy(SAMPLES[name](), 1))
+    once, corrected = (
+        WAVEFRONTS(measured, None, AssumedSample(ratios), is_corrected=each).sigma(at(0, 0)) for each in (False, True)
+    )
+    share = SYSTEMATIC_PX**2 / (SYSTEMATIC_PX**2 + NOISE_PX**2)
+    most = math.sqrt((1 + 5 * share) / (1 + 5 * share**2))  # where the prior determines nothing
+    expected = 1.0 if name == "one" else most
+    assert np.nanmedian(once / corrected) == pytest.approx(expected, rel=0.02)
+    assert np.nanmax(once / corrected) <= expected * (1 + 1e-6)
 
 
 def test_too_few_lenslets_are_refused() -> None:
