@@ -192,12 +192,17 @@ def _reason(error: Exception) -> str:
 def _only_writer(folder: Path) -> Iterator[None]:
     """Keep other runs out of the folder of a store; `InputError` if one writes into it already."""
     make_folder(folder.parent)
-    with folder.with_name(f".{folder.name}.lock").open("ab") as file:
+    own = folder.with_name(f".{folder.name}.lock")
+    with own.open("ab") as file:
         try:
             lock(file)
         except InputError as error:
             raise InputError(f"{folder}: another svwfs batch is writing into it") from error
-        yield
+        try:
+            yield
+        finally:
+            with suppress(OSError):  # Windows removes no open file
+                own.unlink()
 
 
 def _check_free(folder: Path) -> None:

@@ -193,10 +193,16 @@ def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = N
     return "; ".join(filter(None, [_left_out(reconstructor, sample), bias]))
 
 
+_UNSEEN: dict[str | None, str] = {  # by warps
+    "translation": "a translation does not show how wavefronts change",
+    "affine": "an affine warp does not show how wavefronts bend",
+}
+
+
 def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str:
     warp, hidden = reconstructor.registration.warp, reconstructor.hidden
-    if warp == "affine":
-        return "an affine warp does not show how wavefronts bend over the field; the error bars leave that out"
+    if warp in _UNSEEN:
+        return f"{_UNSEEN[warp]} over the field; the error bars leave that out"
     if warp is None or not hidden:
         return ""
     fields = FIELD_MODES[warp]

@@ -376,6 +376,7 @@ def test_second_writer_is_refused(recordings: list[Recording], tmp_path: Path) -
 
     batch(tmp_path / "r.zarr", recordings[1], evaluate=(counting := Counting(another)))
     assert counting.items == 2
+    assert not (tmp_path / ".r.zarr.lock").exists()
 
 
 def test_batch_without_any_result_leaves_nothing(mine: Recording, tmp_path: Path) -> None:
