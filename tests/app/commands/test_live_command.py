@@ -35,7 +35,7 @@ def opened_benches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return opened
 
 
-@pytest.mark.usefixtures("qapp", "runtime_folder")
+@pytest.mark.usefixtures("restored_theme", "runtime_folder")
 @pytest.mark.parametrize(
     ("arguments", "source", "offers_last"),
     [
@@ -56,7 +56,7 @@ def test_last_bench_is_offered_only_if_none_is_named(
     assert begun == [load_bench(source, arguments[1:] if "--set" in arguments else ())]  # while the window is loaded
 
 
-@pytest.mark.usefixtures("qapp", "runtime_folder")
+@pytest.mark.usefixtures("restored_theme", "runtime_folder")
 @pytest.mark.parametrize(
     ("setting", "sentence"),
     [
@@ -76,7 +76,7 @@ def test_wrong_setting_opens_no_window(
     assert said.count("\n") == 1
 
 
-@pytest.mark.usefixtures("qapp", "runtime_folder")
+@pytest.mark.usefixtures("restored_theme", "runtime_folder")
 def test_window_explains_a_wrong_file_with_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "bench.toml").write_text("[sensor]\n")
     opened, bench = opened_benches(monkeypatch), tmp_path / "bench.toml"

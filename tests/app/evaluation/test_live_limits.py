@@ -25,6 +25,8 @@ from app.measurement.measurement import FrameTotals
 from app.recording.recorder import RecordingState
 from app.timing import Timings
 
+pytestmark = pytest.mark.usefixtures("restored_theme")  # the benchmark styles the application
+
 
 def test_share_counts_lost_frames() -> None:
     assert share(FrameTotals(acquired=3, reconstructed=1, lost=5)) == 1 / 8

@@ -27,6 +27,8 @@ from app.evaluation.live_path import LivePlan, measure_span
 from app.evaluation.processor_time import memory_mb
 from drivers.interface import Disconnected
 
+pytestmark = pytest.mark.usefixtures("restored_theme")
+
 
 def no_report(_text: str, _fraction: float) -> None:
     pass

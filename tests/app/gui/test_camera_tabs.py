@@ -71,7 +71,7 @@ def test_clipped_pixels_are_red_and_nearly_clipped_ones_warned_of(
     pixels[100:130, 50:90] = level if is_red else np.linspace(0.9 * level, level, 40)
     show_pixels(qtbot, window, pixels)
     assert text in window.panels.camera.caption.text()
-    assert (redness(window) > 200) is is_red
+    assert (redness(window) > 300) is is_red
     show_pixels(qtbot, window, dim_frame())
     assert "saturated" not in window.panels.camera.caption.text()
     assert redness(window) == 0
@@ -82,7 +82,7 @@ def test_full_well_below_full_scale_is_red(window: MainWindow, qtbot: QtBot) -> 
     pixels[100:130, 50:90] = np.random.default_rng(2).integers(63990, 64000, (30, 40), np.uint16)
     show_pixels(qtbot, window, pixels)
     assert "Peak 98 % of full scale, 0.9 % of the pixels clipped" in window.panels.camera.caption.text()
-    assert redness(window) > 200
+    assert redness(window) > 300
 
 
 def test_histogram_follows_the_frame_while_it_is_shown(window: MainWindow, qtbot: QtBot) -> None:
