@@ -203,7 +203,7 @@ def open_result(path: str | Path) -> xr.Dataset:
     Parameters
     ----------
     path
-        NetCDF file, or the Zarr store of `svwfs batch` (docs/many_machines.md).
+        NetCDF file, or the Zarr store of `svwfs batch` (docs/sharing.md).
 
     Returns
     -------

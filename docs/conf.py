@@ -44,7 +44,7 @@ html_show_sphinx = False
 
 
 def setup(sphinx: Sphinx) -> None:
-    """Append what the program knows of itself to the pages that introduce it."""
+    """Add to the pages what the program knows of itself."""
     sphinx.connect("source-read", _append)
     sphinx.connect("autodoc-process-signature", _without_arguments)
 
@@ -52,6 +52,14 @@ def setup(sphinx: Sphinx) -> None:
 def _append(_sphinx: Sphinx, page: str, source: list[str]) -> None:
     if page in _MADE:
         source[0] = "\n".join([source[0], *_MADE[page]()])
+    source[0] = re.sub(r"<!-- settings (\w+) (\w+) -->", lambda found: "\n".join(_driver(*found.groups())), source[0])
+
+
+def _driver(section: str, driver: str) -> Iterator[str]:
+    """Return the settings of one driver of `camera` or `light` as a table."""
+    kinds = bench_schema()["properties"][section]["oneOf"]
+    kind = next(each for each in kinds if each["properties"]["driver"]["const"] == driver)
+    yield from _tables(section, kind, f'`driver = "{driver}"`:')
 
 
 def _commands() -> Iterator[str]:

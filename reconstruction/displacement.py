@@ -12,8 +12,8 @@ from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.modes.field_modes import FieldModes, LegendreModes
 from reconstruction.runtime.deferred import Deferred
 
-# Error of each coefficient without noise, taken as uncorrelated. On the screens of docs/estimator.md it is 0.001 px and
-# correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
+# Error of each coefficient without noise, taken as uncorrelated. On the screens of evidence/accuracy.md it is 0.001 px
+# and correlated along rows of lenslets; with 0.002 to 0.004 the residuals were least.
 SYSTEMATIC_PX = 0.0025
 
 LensletStatuses = NDArray[np.int8]  # an `LensletStatus` for every lenslet

@@ -75,7 +75,7 @@ _MORE = 1.5  # contradiction of a sample by other frames over that by the one in
 _ABSORBS, _STILL_ABSORBS = 0.006, 0.005
 _NO_MATCH = "no lenslet of the frame could be matched with the reference"
 NOISE_MODES = 45  # pupil modes for which noise is predicted; a smooth wavefront needs about as many
-# Systematic error, rad: mean over the ensembles of docs/estimator.md with the square, in the paper's world (4.2 rad).
+# Systematic error, rad: mean over the ensembles of evidence/accuracy.md (square, propagation neglected, 4.2 rad).
 _SYSTEMATIC_RAD: dict[Warp, float] = {"affine": 0.24, "quadratic": 0.036, "cubic": 0.009, "quartic": 0.007}
 _CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
 
@@ -85,7 +85,7 @@ def _called(what: str, kind: type | None, function: Any, *arguments: Any, **more
 
     `ReconstructionError` if it is no callable, takes other arguments, or returns something else.
     """
-    as_told = "as in docs/own_methods.md"
+    as_told = "as in docs/extending.md"
     if not callable(function):
         raise ReconstructionError(f"{what} must be a callable, {as_told}, not {function!r:.60}")
     try:

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 Settings = TypeVar("Settings", bound="DataclassInstance")
 
-_SAME_WAVELENGTH = 0.01  # relative; see docs/estimator.md
+_SAME_WAVELENGTH = 0.01  # relative; see evidence/accuracy.md
 AUTOMATIC = "automatic"  # same as omitting the setting
 CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
 _OWN_NAMES = {"registration": ("method",), "reconstruction": ("basis",)}  # Python may give that of an own method

@@ -62,7 +62,7 @@ def live(
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
-    The instrument is a process of its own, which goes on when the window hangs or is killed; see docs/processes.md.
+    The instrument is a process of its own, which goes on when the window hangs or is killed; see docs/sharing.md.
     Without a display it runs offscreen for a few seconds and saves a screenshot and the results. --replay plays a
     recording with its own bench unless --bench or --set changes it; --frames selects a part.
 

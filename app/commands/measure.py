@@ -49,7 +49,7 @@ def measure(
     without motors you are asked to move mask and sample. Average fewer long exposures, but at least 4, from which the
     camera's noise is estimated. Pinholes need centroids instead of a warp (second example). Ctrl-C ends early and keeps
     everything. With --attach it records with the dark and the reference that the instrument has, and leaves light and
-    sample as they are. See docs/recording.md for the folder and docs/experiment.md for a whole experiment.
+    sample as they are. See docs/results.md for the folder and docs/first_measurement.md for a whole experiment.
 
     Example: svwfs measure --bench live_demo --frames 20 --out run1
 

@@ -59,10 +59,10 @@ def reconstructor(
         Frame with the sample, (row, column), counts, that shows the camera's noise.
     registration
         Your registration method instead of the bench's: called with the subimages of a reference and the field, it
-        returns a `RegistrationMethod` (docs/own_methods.md).
+        returns a `RegistrationMethod` (docs/extending.md).
     basis
         Your pupil modes instead of the bench's: called with the sensor and their number or None, it returns
-        `PupilModes` (docs/own_methods.md).
+        `PupilModes` (docs/extending.md).
 
     Returns
     -------

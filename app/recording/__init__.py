@@ -1,1 +1,1 @@
-"""Recordings: folders of frames that survive a crash; docs/recording.md describes their files."""
+"""Recordings: folders of frames that survive a crash; docs/results.md describes their files."""

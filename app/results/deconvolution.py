@@ -1,4 +1,4 @@
-"""Images of the sample without the measured aberration (docs/corrected_images.md)."""
+"""Images of the sample without the measured aberration (docs/field.md)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def deconvolve(
     method: RestorationMethod = METHOD,
     iterations: int = MOST_ITERATIONS,
 ) -> xr.DataArray:
-    """Remove the aberration of each field position from an image of the sample (docs/corrected_images.md).
+    """Remove the aberration of each field position from an image of the sample (docs/field.md).
 
     Parameters
     ----------

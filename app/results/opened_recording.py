@@ -69,7 +69,7 @@ class OpenedRecording:
 
     @property
     def run(self) -> dict[str, Any]:
-        """Facts of the run as in `run.json`: times, devices, counts, note, software (docs/recording.md)."""
+        """Facts of the run as in `run.json`: times, devices, counts, note, software (docs/results.md)."""
         return self._recording.run
 
     @property

@@ -1,8 +1,8 @@
 """Cameras behind Micro-Manager's device adapters.
 
-Micro-Manager's core hides what the adapters do: docs/hardware.md lists the limits of this driver. The thread of a
-running adapter may use its properties without a lock: reading them meanwhile corrupted the memory of the DemoCamera,
-with which the tests run. So they are read at rest and remembered. Not yet tried on a real camera.
+Micro-Manager's core hides what the adapters do: docs/devices_micro_manager.md lists the limits of this driver. The
+thread of a running adapter may use its properties without a lock: reading them meanwhile corrupted the memory of the
+DemoCamera, with which the tests run. So they are read at rest and remembered. Not yet tried on a real camera.
 """
 
 import time

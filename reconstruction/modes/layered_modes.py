@@ -1,7 +1,7 @@
 """Wavefronts of layered samples, in pupil modes R_p(u) times field modes T_q(x).
 
 Straight rays through layers make phi(u, x) = sum_i Phi_i(a_i u + b_i x), so that
-(d_u d_y - d_v d_x) phi = 0: subimages do not rotate (docs/layers_and_rotation.md).
+(d_u d_y - d_v d_x) phi = 0: subimages do not rotate (docs/methods.md).
 """
 
 from collections.abc import Callable

@@ -4,7 +4,7 @@ Valid lenslets do not make a wavefront true. A blurred or doubled image, or one 
 wrong warp, but not well; a torn or turned frame matches well, but with slopes that belong to no wavefront.
 
 Strong aberrations leave a misfit, too, because a warp does not describe diffraction. It grows with the deformation that
-is found, so that limits are shares of it, above the noise (docs/quality.md).
+is found, so that limits are shares of it, above the noise (evidence/quality.md).
 
 Uniform stray light does no harm. A rise within a subimage looks like a change of its size; the same rise in all
 lenslets looks like a sample near the source. It is measured between the openings, where a wavefront moves little light.

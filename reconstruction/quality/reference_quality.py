@@ -17,7 +17,7 @@ from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_cen
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 
-_OFF_LATTICE = 0.05  # of a pitch; on the bench of docs/estimator.md it changes a wavefront of 4.2 rad by 0.2 rad
+_OFF_LATTICE = 0.05  # of a pitch; on the bench of evidence/accuracy.md it changes a wavefront of 4.2 rad by 0.2 rad
 _DARK = 0.25  # of the typical lenslet's contrast
 _MISSING = 0.25  # of the shorter side of the lattice; as many lenslets more lie elsewhere
 _SAMPLES = 16  # across a cell

@@ -1,6 +1,6 @@
 """Test whether subimages rotate. Thin layers cannot cause this.
 
-Straight rays through layers displace light by the gradient of a potential over the field (docs/layers_and_rotation.md).
+Straight rays through layers displace light by the gradient of a potential over the field (docs/methods.md).
 A warp that may rotate also measures the remaining components, the circulation, which must vanish within their errors.
 """
 
@@ -18,8 +18,8 @@ from reconstruction.modes.field_modes import PolynomialModes, gradient_basis
 # A direction is judged if its error is at most so many times that of the best observed one: 2 - 9 for squares and
 # octagons, 14 - 40 for most directions of discs.
 _OBSERVABLE = 10.0
-# Systematic error over the local deformation, times the ratio above: on the noise-free screens of docs/estimator.md the
-# circulation of a square is 0.01 - 0.05 of the deformation, most at 1.25 mm and near the source.
+# Systematic error over the local deformation, times the ratio above: on the noise-free screens of evidence/accuracy.md
+# the circulation of a square is 0.01 - 0.05 of the deformation, most at 1.25 mm and near the source.
 _SYSTEMATIC_SHARE = 0.02
 _SYSTEMATIC_PX = 0.01  # without the response, which knows no rotation
 _ROTATING_SIGMA = 5.0  # mean rotation over its error

@@ -6,7 +6,7 @@ transform of the field times P_m. On samples symmetric about the axis, c_m is re
 to first order only wavefronts with odd m + n change the image. A hexagonal aperture is a sum of a few such products.
 
 A wavefront that changes over the field gathers light on the lenslets, too: (f1 / k) sum_j d2 phi / dx_j du_j of that of
-an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/brightness.md).
+an object point, which adds Re of the same products with the derivative of P_m or P_n (docs/methods.md).
 
 With a small wavefront b P_k(xi) P_l(eta) of the lenslet's own, F becomes F + i b F_kl. With odd k + l it changes the
 image to first order, and so it changes what other odd wavefronts do.

@@ -25,7 +25,7 @@ _PEAKS_LOWEST, _PEAKS_HIGHEST = -6.551133332835839, 8.106213589442339
 _POINT_STAR_AREA_M2 = math.pi * (25e-6) ** 2
 _ROWS_PER_CELL = 64
 # The open cells with the least Cramer-Rao bound in real light, among 6 x 6 that do not change when turned by 180
-# degrees: docs/masks.md.
+# degrees: evidence/masks.md.
 _OPEN = ("##.#.#", "#.....", "..##.#", "#.##..", ".....#", "#.#.##")
 OPTIMISED = np.array([[cell == "#" for cell in row] for row in _OPEN])
 

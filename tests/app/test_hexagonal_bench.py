@@ -85,7 +85,7 @@ def relative_error(bench: Bench, method: str) -> float:
 @pytest.mark.long
 @pytest.mark.parametrize(("method", "mask"), [("zonal", "checkerboard"), ("modal", "square")])
 def test_residual_is_at_most_that_of_as_many_square_lenslets(method: str, mask: str) -> None:
-    """The issue allows 1.2 times; the paper's bench reaches 0.85 and 0.93 (docs/hexagonal.md)."""
+    """The issue allows 1.2 times; the paper's bench reaches 0.85 and 0.93 (evidence/accuracy.md)."""
 
     def mean_error(*settings: str) -> float:
         of_mask = f"simulation.source.mask='{mask}'"

@@ -15,8 +15,8 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QEvent, Qt
-from PyQt6.QtGui import QAction, QImage
+from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
+from PyQt6.QtGui import QAction, QColor, QImage, QPainter
 from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 
 from app.acquisition.commands import Commands
@@ -35,7 +35,21 @@ _WAIT_S = 300.0
 _SETTLE_MS = 2000  # numbers, plots in the background and notices
 # px, theme, size of texts in percent
 _SCREENS = ((1440, 900, "dark", 100), (1280, 720, "light", 100), (1280, 720, "dark", 150), (1920, 1080, "light", 100))
-_IN_DOCS = {"live": "window", "recorded": "window_recorded", "replay": "window_replay"}
+_IN_DOCS = {
+    "live": "window",
+    "recorded": "window_recorded",
+    "replay": "window_replay",
+    "lenslet": "window_lenslet",
+    "history": "window_history",
+    "layers": "window_layers",
+    "calibration": "window_calibration",
+}
+# Middles of the numbers of README and tour, shares of width and height: verdict, camera, controls, wavefronts, plots,
+# messages, recording, status.
+_PARTS = (
+    *((0.365, 0.016), (0.245, 0.062), (0.385, 0.405), (0.94, 0.09)),
+    *((0.27, 0.505), (0.6, 0.977), (0.72, 0.016), (0.88, 0.945)),
+)
 _DOCS_WIDTH = 1100  # px
 _DIALOGS = ("Shortcuts and conventions…", "Message log…", "Documentation…", "About svwfs…", "Choose the sensor region…")
 
@@ -219,6 +233,27 @@ def main(out: Path) -> None:
         small = picture.scaledToWidth(_DOCS_WIDTH, Qt.TransformationMode.SmoothTransformation)
         if not small.save(str(DOCS / f"{name}.png")):
             raise OSError(f"{DOCS / name}.png cannot be written")
+    numbered(QImage(str(DOCS / "window.png"))).save(str(DOCS / "window_parts.png"))
+
+
+def numbered(picture: QImage) -> QImage:
+    """Return the picture of the window with the numbers of its parts."""
+    made = picture.convertToFormat(QImage.Format.Format_RGB32)
+    painter = QPainter(made)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    font = painter.font()
+    font.setPixelSize(17)
+    font.setBold(True)
+    painter.setFont(font)
+    for number, (x, y) in enumerate(_PARTS, start=1):
+        circle = QRect(0, 0, 24, 24)
+        circle.moveCenter(QPoint(round(x * made.width()), round(y * made.height())))
+        painter.setBrush(QColor("gold"))
+        painter.setPen(QColor("black"))
+        painter.drawEllipse(circle)
+        painter.drawText(circle, Qt.AlignmentFlag.AlignCenter, str(number))
+    painter.end()
+    return made
 
 
 if __name__ == "__main__":

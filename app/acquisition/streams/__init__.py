@@ -1,1 +1,1 @@
-"""Live results for other programs; docs/streams.md describes the messages."""
+"""Live results for other programs; docs/results.md describes the messages."""

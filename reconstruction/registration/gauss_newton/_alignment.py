@@ -159,8 +159,8 @@ def _largest(displacement: Image) -> np.float32:
 def _second_step(displacement: Image, bend: Image) -> np.float32:
     """Expected ratio of the second step to the first, for a displacement with the parameters (P - 2,).
 
-    The steps assume that a displaced subimage keeps its shape. On the screens of docs/estimator.md the ratio is at most
-    twice the RMS gradient of the displacement, 1.1 times for most lenslets.
+    The steps assume that a displaced subimage keeps its shape. On the screens of evidence/accuracy.md the ratio is at
+    most twice the RMS gradient of the displacement, 1.1 times for most lenslets.
     """
     square = np.float32(0.0)
     for p in range(displacement.size):

@@ -6,7 +6,7 @@ Light imaged at x in the reference arrives at x + d(x), and keeps its brightness
 
 with T_q the field modes and h the half width of the field on the subimage. What looks like a brightness of the source
 that changes slowly over the field counts as no displacement. The paper's world, without propagation,
-conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/brightness.md). The fit starts from the
+conserves flux instead, and the right side has the factor det(1 + dd/dx) (docs/methods.md). The fit starts from the
 previous frame, or from a translation found on every other pixel, or, if that does not match, from the whole-pixel shift
 with the best correlation.
 
@@ -151,7 +151,7 @@ class ErrorPropagation:
 
 
 # Margin of the pixels used beyond the field's edge, in blurs. Further out there is only scattered light, which no warp
-# describes. With 0.8 the wavefront error at the shortest correlation length of docs/estimator.md is 0.157 rad, with
+# describes. With 0.8 the wavefront error at the shortest correlation length of evidence/accuracy.md is 0.157 rad, with
 # 1.3 0.098, as with all pixels of the cell.
 _MARGIN_BLURS = 1.3
 # Largest remaining error of a fit's parameters: a share of its standard error, within limits. Most errors are far

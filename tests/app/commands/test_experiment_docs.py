@@ -1,4 +1,4 @@
-"""The commands of docs/experiment.md, run on a small bench with short exposures."""
+"""The commands of docs/first_measurement.md, run on a small bench with short exposures."""
 
 from __future__ import annotations
 
@@ -24,7 +24,8 @@ from app.recording.reader import Recording
 from drivers.stage import ManualStage
 from simulated_devices.settings import exposure_range_s
 
-TEXT = (DOCS / "experiment.md").read_text("utf-8")
+TEXT = (DOCS / "first_measurement.md").read_text("utf-8")
+OWN_SENSOR, CAMERA = ((DOCS / name).read_text("utf-8") for name in ("own_sensor.md", "devices_hamamatsu.md"))
 SMALL = SMALL_TOML.replace("em_gain = 8.0", "readout_speed = 2").replace("exposure_s = 0.02", "exposure_s = 0.03")
 QUICK = {  # fewer lenslets and less time than in the text
     "camera.exposure_s=3.8": "camera.exposure_s=0.45",
@@ -90,7 +91,7 @@ def test_every_documented_command_runs(
 
 def test_documented_exposures_match_camera() -> None:
     rows = re.findall(
-        r"^\| (em|normal) \| (\d).*? \| ([\d.]+) ms \.\.\. ([\d.]+) s \|(.*?)\|(.*?)\|$", TEXT, re.MULTILINE
+        r"^\| (em|normal) \| (\d).*? \| ([\d.]+) ms \.\.\. ([\d.]+) s \|(.*?)\|(.*?)\|$", CAMERA, re.MULTILINE
     )
     assert len(rows) == 4
     for amplifier, speed, shortest_ms, longest_s, pinholes, square in rows:
@@ -104,7 +105,7 @@ def test_documented_exposures_match_camera() -> None:
 
 
 def test_documented_real_bench_loads() -> None:
-    (sections,) = re.findall(r"^```toml\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
+    (sections,) = re.findall(r"^```toml\n(.*?)^```", OWN_SENSOR, re.MULTILINE | re.DOTALL)
     preset = app.bench.presets.PRESETS["paper_experiment"].read_text("utf-8")
     rest = re.sub(r"^\[(camera|light)\]\n(?:(?!\[).*\n)*", "", preset, flags=re.MULTILINE)
     bench = parse_bench(rest + sections, "the text")
@@ -125,7 +126,7 @@ def test_prompts_match_documentation(
     measure_bench(bench, tmp_path / "m", frames=1, progress=lambda *_: None, average=4)
     asked = capsys.readouterr().err.splitlines()
     assert len(asked) == 2
-    assert all(f"    {line}\n" in TEXT for line in asked)
+    assert all(f"    {line}\n" in OWN_SENSOR for line in asked)
 
 
 def test_linked_pictures_and_pages_exist() -> None:

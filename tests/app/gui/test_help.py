@@ -84,8 +84,8 @@ def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> N
     for _ in range(5):
         QApplication.processEvents()
     assert bar.maximum() == 0  # no picture is cut
-    dialog.view.setSource(QUrl("experiment.md"))  # as a click on the link
-    assert "experiment" in dialog.view.toPlainText().splitlines()[0]
+    dialog.view.setSource(QUrl("first_measurement.md"))  # as a click on the link
+    assert "measurement" in dialog.view.toPlainText().splitlines()[0]
     dialog.back.click()
     assert dialog.view.toPlainText().startswith("The window")
 
