@@ -45,7 +45,7 @@ PitchSetting: TypeAlias = Annotated[
     float, Gt(0), Le(1e-3), Doc("Pixel pitch of the sensor, if the camera does not report it")
 ]
 ExposureSetting: TypeAlias = Annotated[float, Gt(0), Le(86_400)]
-RegionSetting: TypeAlias = Annotated[Region, Doc("Omitted: the whole sensor")]
+RegionSetting: TypeAlias = Annotated[Region, Doc("Part of the sensor that is read out; omitted: the whole sensor")]
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -20,8 +20,8 @@ from typing_extensions import Doc
 from drivers.device import Device, Property, Range, switched
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected, LightHeldOff
 
-KEPT_CURRENT = Doc("Omitted: it keeps its value")  # help of settings that lights share
-OWNERS_LIMIT = Doc("Owner's limit, below that of the head")
+KEPT_CURRENT = Doc("Current at the start; omitted: as the device has it")  # help of settings that lights share
+OWNERS_LIMIT = Doc("Highest current allowed, below the limit of the head")
 MAY_BE_ON = "the light may still be on: switch it off by hand"  # in the error of a light that does not answer
 _RAMP_STEPS = 8  # from the lowest to the highest current
 _RAMP_S = 0.08

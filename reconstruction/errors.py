@@ -20,4 +20,4 @@ class TooManyModes(UnusableSettings):
     """More pupil modes than the lenslets can tell apart."""
 
     def __init__(self, lenslets: int, modes: int) -> None:
-        super().__init__(f"{lenslets} valid lenslets cannot tell {modes} pupil modes apart: take fewer, or automatic")
+        super().__init__(f"{lenslets} valid lenslets cannot determine {modes} pupil modes: take fewer, or automatic")

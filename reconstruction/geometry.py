@@ -39,8 +39,8 @@ def require(conditions: Mapping[str, bool]) -> None:
 class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Number of rows that are evaluated")]
-    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("Number of columns that are evaluated")]
+    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Number of lenslets evaluated along y")]
+    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("Number of lenslets evaluated along x")]
     lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
     lenslet_focal_length_m: Annotated[
         float, Ge(1e-5), Le(2), Doc("Focal length of a lenslet at the wavelength; the camera is in its focal plane")
@@ -115,7 +115,7 @@ class Lattice(Checked):
 
     center_x_px: Annotated[float, Ge(-1e5), Le(1e5), Doc("Centre of the lattice in the frame")]
     center_y_px: Annotated[float, Ge(-1e5), Le(1e5)]
-    pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Between two lenslets, as measured")]
+    pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Measured distance between two lenslets")]
     rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
     arrangement: Annotated[Arrangement, Doc("Arrangement of the lenslets")] = "square"
 
@@ -209,7 +209,7 @@ class Field(Checked):
     view_rows: Annotated[int, Ge(1), Le(99)] = STARS
     view_columns: Annotated[int, Ge(1), Le(99)] = STARS
     view_spacing_m: Annotated[float, Ge(1e-9), Le(0.1)] = STAR_SPACING_M
-    neglect_propagation: Annotated[bool, Doc("True: the paper's simulation, uniform light, conserved flux")] = False
+    neglect_propagation: Annotated[bool, Doc("Propagation neglected, as in the paper; never in real light")] = False
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

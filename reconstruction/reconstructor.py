@@ -85,7 +85,7 @@ def _called(what: str, kind: type | None, function: Any, *arguments: Any, **more
 
     `ReconstructionError` if it is no callable, takes other arguments, or returns something else.
     """
-    as_told = "as in docs/extending.md"
+    as_told = "as in svwfs docs extending"
     if not callable(function):
         raise ReconstructionError(f"{what} must be a callable, {as_told}, not {function!r:.60}")
     try:

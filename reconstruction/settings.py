@@ -26,7 +26,7 @@ class RegistrationSettings(Checked):
     method: Annotated[
         Method,
         Doc(
-            "Match of the subimages with the reference: Gauss-Newton is this instrument's own; the others come from the"
+            "Registration of the subimages with the reference: Gauss-Newton is the default; the others come from the"
             " paper and related software, and some are too slow for live use"
         ),
     ] = "gauss_newton"
@@ -34,14 +34,14 @@ class RegistrationSettings(Checked):
         Annotated[
             Warp,
             Doc(
-                "Gauss-Newton: allowed distortion of a subimage; more freedom resolves finer changes over the field."
-                " Omitted: quartic if layers may be assumed, otherwise that of the least expected error"
+                "Deformation of a subimage that Gauss-Newton may find; more freedom resolves finer changes over the"
+                " field. Omitted: quartic if layers may be assumed, otherwise the one with the least expected error"
             ),
         ]
         | None
     ) = None
-    rotation: Annotated[bool, Doc("Gauss-Newton: subimages may rotate; layers cannot make them")] = False
-    threads: Annotated[int, Ge(1), Le(64), Doc("Gauss-Newton: number of threads")] = THREADS
+    rotation: Annotated[bool, Doc("Rotation is fitted, Gauss-Newton only; thin layers cause none")] = False
+    threads: Annotated[int, Ge(1), Le(64), Doc("Number of threads, Gauss-Newton only")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
@@ -60,22 +60,22 @@ class ReconstructionSettings(Checked):
     method: Annotated[
         Literal["zonal", "modal"], Doc("Wavefront from the slopes: lenslet by lenslet, or as polynomials")
     ] = "modal"
-    basis: Annotated[PupilBasis, Doc("Modal: Legendre for a square pupil, Zernike for a circular one")] = "legendre"
+    basis: Annotated[PupilBasis, Doc("Modes: Legendre for a square pupil, Zernike for a circular one")] = "legendre"
     pupil_modes: (
         Annotated[
             int,
             Ge(PUPIL_MODES.start),
             Le(PUPIL_MODES[-1]),
             Doc(
-                "Modal: number of modes, at most one for each lenslet. Omitted: as many as the lattice supports,"
+                "Number of modes, at most one for each lenslet. Omitted: as many as the lattice supports,"
                 " smoothed according to the noise"
             ),
         ]
         | None
     ) = None
-    response: Annotated[bool, Doc("Modal, without rotation: the modelled response, not mean gradients")] = True
-    sample: Annotated[SampleModel, Doc("Modal: any wavefront, layers, or what the evidence prefers")] = "automatic"
-    refine: Annotated[bool, Doc("Live: subtract the bias that a forward model finds in the background")] = False
+    response: Annotated[bool, Doc("Modelled response, not mean gradients; modal, without rotation")] = True
+    sample: Annotated[SampleModel, Doc("Allowed wavefronts: any (free), layers, or by evidence")] = "automatic"
+    refine: Annotated[bool, Doc("Refinement of live wavefronts with a forward model")] = False
 
 
 def obstacle_to_layers(reconstruction: ReconstructionSettings, registration: RegistrationSettings) -> str:

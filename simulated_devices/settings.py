@@ -34,20 +34,20 @@ class Screen(Checked):
 
     correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the Gaussian that smooths noise")] = 2.0e-3
     rms_rad: Annotated[float, Ge(0), Le(1e4), Doc("Mean RMS over the views; with pv_rad, of the screen itself")] = 4.2
-    pv_rad: Annotated[float, Gt(0), Le(1e5), Doc("Peak to valley of the screen itself")] | None = None
-    file: Annotated[str, Doc("A .npy or .tif array of phases in rad, used unchanged")] = ""
+    pv_rad: Annotated[float, Gt(0), Le(1e5), Doc("Peak-to-valley of the screen itself")] | None = None
+    file: Annotated[str, Doc("File of the screen, a .npy or .tif array of phases in rad, used unchanged")] = ""
     sample_spacing_m: Annotated[float, Ge(1e-9), Le(0.01)] = 25e-6
-    samples: Annotated[int, Ge(8), Le(8192), Doc("Along each axis, or more for a large footprint or a drift")] = 385
+    samples: Annotated[int, Ge(8), Le(8192), Doc("Samples along each axis; more for a drift")] = 385
     placement: Literal["pupil", "source"] = "pupil"
     distance_m: Annotated[
-        float, Ge(-100), Le(100), Doc("Before the lenslets (negative: behind), or after the mask")
+        float, Ge(-100), Le(100), Doc("Distance before the lenslets (negative: behind), or after the mask")
     ] = 0.195
     transmission_rms: Annotated[
-        float, Ge(0), Le(10), Doc("RMS of the intensity that passes, if its mean is 1; log-normal")
+        float, Ge(0), Le(10), Doc("RMS of the transmitted intensity, if its mean is 1; log-normal")
     ] = 0.0
     transmission_correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the smoothing")] = 0.5e-3
     transmission_file: Annotated[
-        str, Doc("A .npy or .tif array of passing intensity, 0 ... 1, sampled like the screen")
+        str, Doc("File of transmitted intensity, 0 ... 1, .npy or .tif, sampled like the screen")
     ] = ""
     drift_x_m_per_s: float = 0.0
     drift_y_m_per_s: float = 0.0
@@ -69,17 +69,17 @@ class Screen(Checked):
 class Source(Checked):
     """Masks in front of the light: openings, an array of pinholes (the stars) and grey transparencies."""
 
-    mask: Annotated[Mask, Doc("The initial one")] = "square"
+    mask: Annotated[Mask, Doc("Mask at the start")] = "square"
     half_width_m: Annotated[
         float, Ge(1e-6), Le(0.1), Doc("Half width of square, circle and octagon; of the ellipse along x")
     ] = 0.6e-3
     checker_cells: Annotated[int, Ge(2), Le(100), Doc("Cells of the checkerboard along each side of the square")] = 6
-    ellipse_ratio: Annotated[float, Gt(0), Le(1), Doc("The ellipse's width along y over that along x")] = 0.6
-    file: Annotated[str, Doc('A grey image (TIFF, NPY, PNG) that fills the square: the mask "image"')] = ""
+    ellipse_ratio: Annotated[float, Gt(0), Le(1), Doc("Width of the ellipse along y over its width along x")] = 0.6
+    file: Annotated[str, Doc('File of the mask "image": a grey image (TIFF, NPY, PNG) that fills the square')] = ""
     star_rows: Annotated[int, Ge(1), Le(99)] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
     star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
-    pinhole_diameter_m: Annotated[float, Ge(0), Le(0.01), Doc("0: points with the light of 50 um pinholes")] = 50e-6
+    pinhole_diameter_m: Annotated[float, Ge(0), Le(0.01), Doc("Pinhole diameter; 0: points as bright as 50 um")] = 50e-6
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -98,10 +98,10 @@ class Simulation(Checked):
 
     seed: Annotated[int, Ge(0), Le(2**63 - 1)] = 1
     object_samples: Annotated[int, Ge(2), Le(1001), Doc("Points along a side of the square source")] = 37
-    pupil_samples: Annotated[int, Ge(4), Le(256), Doc("Across a lenslet")] = 20
-    border_lenslets: Annotated[int, Ge(0), Le(20), Doc("Rings of lenslets around the evaluated ones, lit, too")] = 0
-    drifting_states: Annotated[int, Ge(2), Le(10000), Doc("Positions of a drifting screen, played back and forth")] = 48
-    state_duration_s: Annotated[float, Ge(1e-3), Le(1e6), Doc("Time for which each is shown")] = 0.1
+    pupil_samples: Annotated[int, Ge(4), Le(256), Doc("Samples of the pupil across a lenslet")] = 20
+    border_lenslets: Annotated[int, Ge(0), Le(20), Doc("Illuminated rings of lenslets around the evaluated ones")] = 0
+    drifting_states: Annotated[int, Ge(2), Le(10000), Doc("Positions of a drifting screen, back and forth")] = 48
+    state_duration_s: Annotated[float, Ge(1e-3), Le(1e6), Doc("Duration of each position of a drifting screen")] = 0.1
     screen: Screen = field(default_factory=Screen)
     source: Source = field(default_factory=Source)
 
@@ -124,23 +124,20 @@ class SimulatedCameraSettings(Checked):
     driver: Literal["simulated"] = "simulated"
     rows: Annotated[int, Ge(8), Le(8192)] = 512
     columns: Annotated[int, Ge(8), Le(8192)] = 512
-    exposure_s: Annotated[float, Ge(1e-4), Le(7200), Doc("The range depends on amplifier and speed")] = 1 / 70
+    exposure_s: Annotated[float, Ge(1e-4), Le(7200), Doc("Exposure; range by amplifier and speed")] = 1 / 70
     shortest_exposure_s: (
-        Annotated[float, Ge(1e-4), Le(1), Doc("In place of the time of the read-out, for a faster camera")] | None
+        Annotated[float, Ge(1e-4), Le(1), Doc("Frame period of a faster camera, in place of the readout time")] | None
     ) = None
     noise_frames: Annotated[
-        int,
-        Ge(0),
-        Le(100),
-        Doc("Frames of each image, which are repeated and cost a copy; 0: each frame has its own noise"),
+        int, Ge(0), Le(100), Doc("Frames of each image, repeated at the cost of a copy; 0: each frame has new noise")
     ] = 0
     amplifier: Amplifier = "em"
-    readout_speed: Annotated[int, Ge(1), Le(3), Doc("Speed of the EM amplifier; the normal one has speed 1 only")] = 3
+    readout_speed: Annotated[int, Ge(1), Le(3), Doc("Readout speed; 1 with the normal amplifier")] = 3
     em_gain: Annotated[float, Ge(1), Le(1e5)] = 1.0
     maximum_em_gain: Annotated[float, Ge(1), Le(1e5)] = 1200.0
     quantum_efficiency: Annotated[float, Gt(0), Le(1), Doc("Quantum efficiency at 462 nm")] = 0.8
     dark_current_e_per_s: Annotated[float, Ge(0), Le(1e6)] = 0.005
-    clock_induced_charge_e: Annotated[float, Ge(0), Le(1e3), Doc("Per pixel and frame")] = 0.0015
+    clock_induced_charge_e: Annotated[float, Ge(0), Le(1e3), Doc("Spurious charge per pixel and frame")] = 0.0015
     em_read_noise_e: Annotated[
         tuple[_Noise, _Noise, _Noise], Doc("Read noise of the EM amplifier at speed 1, 2, 3")
     ] = (8.0, 25.0, 37.0)
@@ -148,10 +145,10 @@ class SimulatedCameraSettings(Checked):
     full_well_e: Annotated[float, Ge(1), Le(1e9)] = 370e3
     register_full_well_e: Annotated[float, Ge(1), Le(1e9), Doc("Full well of the multiplication register")] = 800e3
     electrons_per_count: Annotated[float, Ge(1e-4), Le(1e4)] = 5.8
-    nonlinearity: Annotated[float, Ge(-0.5), Le(0.5), Doc("Share that is lost of a signal at full scale")] = 0.0
+    nonlinearity: Annotated[float, Ge(-0.5), Le(0.5), Doc("Share of a signal at full scale that is lost")] = 0.0
     offset_counts: Annotated[float, Ge(0), Le(65535)] = 500.0
     bits: Annotated[int, Ge(8), Le(16)] = 16
-    pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Sensitive width over the pitch; 0: the centre")] = 1.0
+    pixel_fill_factor: Annotated[float, Ge(0), Le(1), Doc("Sensitive width of a pixel over its pitch")] = 1.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -186,10 +183,10 @@ class SimulatedLightSettings(Checked):
     maximum_current_a: Annotated[float, Ge(1e-15), Le(1e3)] = 1.0
     wavelengths_m: Annotated[
         tuple[Annotated[float, Ge(1e-7), Le(1e-4)], ...],
-        Doc("Lines of a broad LED, about sensor.wavelength_m; none: it alone"),
+        Doc("Wavelengths of a broad LED, around sensor.wavelength_m; none: that alone"),
     ] = ()
     weights: Annotated[
-        tuple[Annotated[float, Ge(0), Le(1e12)], ...], Doc("Light of each line as the camera sees it; none: all alike")
+        tuple[Annotated[float, Ge(0), Le(1e12)], ...], Doc("Weight of each wavelength for the camera; none: all alike")
     ] = ()
 
     def faults(self) -> Iterator[tuple[str, str]]:

@@ -118,7 +118,7 @@ def test_bench_reference_has_every_setting(pages: Path) -> None:
         assert not {name for name in names if not re.search(rf"^{name}$", text, re.MULTILINE)}
     assert 'driver = "thorlabs_dc4100"' in text
     assert re.search(
-        r"^exposure_s\ns\n0.014\d+\nThe range depends on amplifier and speed. Must be 0.0001 ... 7200$",
+        r"^exposure_s\ns\n0.014\d+\nExposure; range by amplifier and speed. Must be 0.0001 ... 7200$",
         text,
         re.MULTILINE,
     )

@@ -77,7 +77,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
         {"registration": lambda *_: lambda *_, **_more: 3},
         "a prepared own registration must return a Displacement, .* 3",
     ),
-    ({"basis": 3}, "an own basis must be a callable, as in docs/extending.md, not 3"),
+    ({"basis": 3}, "an own basis must be a callable, as in svwfs docs extending, not 3"),
     ({"basis": lambda sensor: sensor}, "an own basis must take other arguments"),
     ({"basis": lambda *_: np.ones((4, 7, 7))}, "an own basis must return a PupilModes, .* array"),
     ({"basis": lambda _, count: monomials(sensor_of(9, 9), count)}, r"values of an own basis must be of \(7, 7\)"),

@@ -49,7 +49,9 @@ def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:
             )
         known_m, pitch_m = bench.sensor.pixel_pitch_m, devices.camera.capabilities.pixel_pitch_m
         if pitch_m is not None and not math.isclose(pitch_m, known_m, rel_tol=_PITCH_TOLERANCE):
-            raise InputError(f"sensor.pixel_pitch_m = {known_m:g}, but that of {devices.camera.name} is {pitch_m:g}")
+            raise InputError(
+                f"sensor.pixel_pitch_m = {known_m:g}, but {devices.camera.name} reports {pitch_m:g}: enter that value"
+            )
         return replace(devices, _closing=stack.pop_all())
 
 
@@ -72,7 +74,7 @@ def _opened(section: str, settings: DeviceSettings) -> Any:
         try:
             check_device(section, settings)
             if not kind.device:
-                raise InputError(f"{section}.driver = {settings.driver!r} has no device of its own")
+                raise InputError(f"{section}.driver = {settings.driver!r} has no device")
             is_guarded = section == "light" and kind.driver != "manual"
             device = stack.enter_context(WatchdogLight(settings) if is_guarded else kind.open(settings))
             if (current_a := getattr(settings, "current_a", None)) is not None:

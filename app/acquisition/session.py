@@ -72,7 +72,7 @@ def live(bench: Bench, *, average: int = FRAMES) -> LiveBench:
 
 
 def connect(name: str = NAME, *, watch: bool = False) -> ConnectedBench:
-    """Connect to an instrument that `svwfs serve` runs in another process, for a `with` block.
+    """Connect to an instrument of `svwfs serve` or `svwfs live` in another process, for a `with` block.
 
     Any number of programs may be connected. One has control, the first to come unless it watches; commands of the
     others are refused, except that anyone may switch the light off. Leaving the block leaves the instrument running.
@@ -315,7 +315,7 @@ class LiveBench:
                 self._arrived.wait(_WAIT_S)
 
     def _status(self) -> Status:
-        """The status, after a command at least."""
+        """Status, not older than the last command."""
         status = self._acquisition.status
         if status is None:
             self._raise_failure()
@@ -375,7 +375,7 @@ class ConnectedBench(LiveBench):
     def __init__(
         self, what: str, name: str = NAME, *, is_watching: bool = False, progress: Progress = lambda *_: None
     ) -> None:
-        """The other clients know it as `what`."""
+        """Make a session whose name for other clients is `what`."""
         self._connection = connection = reach(what, name, sinks=(self._take,), takes_control=not is_watching)
         super().__init__(connection.bench, average=0, progress=progress)
 

@@ -310,7 +310,7 @@ class BatchInput:
             raise InputError(f"{folder}: is not complete: it still grows, or svwfs recover finishes it")
         frames = recorded_frames(run)
         if frames is None:
-            raise InputError(f"{folder / RUN}: does not tell the number of frames; svwfs recover counts them")
+            raise InputError(f"{folder / RUN}: does not say how many frames it has; svwfs recover counts them")
         if not frames:
             raise InputError(f"{folder}: holds no frame")
         fingerprint = hashlib.sha256((folder / RUN).read_bytes()).hexdigest()[:16]

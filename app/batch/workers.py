@@ -95,7 +95,7 @@ def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = F
     no scheduler at the address.
     """
     if count is not None and scheduler is not None:
-        raise InputError("--workers starts processes here, --scheduler uses those of a cluster: give one of them")
+        raise InputError("--workers starts processes here, --scheduler uses the workers of a cluster: give one option")
     if scheduler is not None:
         _check_address(scheduler)  # a client that finds the fault takes 40 s to close
     os.environ["PYTHONSAFEPATH"] = "1"  # for workers and Python's own helper processes, as in `app.cli.main`

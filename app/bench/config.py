@@ -51,7 +51,7 @@ class StreamSettings(Checked):
     """
 
     port: Annotated[int, Ge(1), Le(65535)] | None = None
-    address: Annotated[str, Doc("0.0.0.0: every network")] = "127.0.0.1"
+    address: Annotated[str, Doc("Address to publish at; 0.0.0.0 is every network")] = "127.0.0.1"
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield what no limit says."""

@@ -26,8 +26,8 @@ class RecordingSettings:
 
     driver: Literal["recording"] = "recording"
     folder: str
-    pace: Annotated[Pace, Doc('As recorded; "fastest": each frame when it is read, so that none is skipped')] = "own"
-    repeat: Annotated[bool, Doc("Start again after the last frame; otherwise no more frames come")] = False
+    pace: Annotated[Pace, Doc("Frame rate: as recorded (own), or each frame when it is read (fastest)")] = "own"
+    repeat: Annotated[bool, Doc("Whether the recording starts again after its last frame")] = False
 
 
 CameraSettings = SimulatedCameraSettings | DcamSettings | GenicamSettings | MicroManagerSettings | RecordingSettings

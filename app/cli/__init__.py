@@ -63,10 +63,10 @@ def _drop_output() -> None:
 
 
 def _exit(error: BaseException, status: int) -> NoReturn:
-    from app.commands.terminal import printable
+    from app.commands.terminal import hint, printable
 
     with suppress(OSError):  # a full disk: the exit status remains
         if sys.stderr is not None:
-            sys.stderr.write(f"svwfs: {printable(str(error))}\n")
+            sys.stderr.write(f"svwfs: {printable(str(error))}{hint(str(error), sys.stderr)}\n")
     _drop_output()
     raise SystemExit(status) from error

@@ -20,7 +20,7 @@ import app.commands
 _NAMES = (
     *("live", "measure", "serve", "recover", "replay", "batch"),
     *("export", "report", "layers", "corrector", "field", "deconvolve"),
-    *("calibrate", "simulate", "mask", "devices", "light-off", "schema", "desktop"),
+    *("calibrate", "simulate", "mask", "devices", "light-off", "schema", "docs", "desktop"),
     *("selftest", "paper", "benchmark", "reconstruct"),
 )
 

@@ -38,7 +38,7 @@ def batch(
     The wavefronts are those of svwfs replay --out, whatever the number of workers; by default there is one for each
     core. The same command again does only what is missing: after Ctrl-C, a power failure, or with more
     recordings. A recording or a frame that cannot be used is named at the end. xarray.open_zarr opens the store, see
-    docs/sharing.md, also for clusters.
+    `svwfs docs sharing`, also for clusters.
 
     Example: svwfs batch run1 run2 run3 --out results.zarr
 

@@ -64,7 +64,7 @@ def benchmark(
     """Measure the speed of the reconstruction.
 
     It times registration and solve of a frame with the quadratic warp, for lattices of up to 100 x 100 lenslets, and
-    the search for layers, in some minutes. With --live it measures instead whether the window keeps up with 70
+    the search for layers, in some minutes. With --live it measures instead whether the window follows 70
     frames/s, and then the rate without window and disk. Refinement is off unless --set reconstruction.refine=true turns
     it on. `python -m studies contestants`, in a checkout, compares with other software.
 

@@ -51,8 +51,8 @@ def calibrate(
 ) -> None:
     """Find the lenslet lattice in a reference frame, or measure the camera's nonlinearity.
 
-    The result is pitch, rotation, centre, which lenslets are lit, and the size of the mask's image: the scale of every
-    wavefront. Check the picture of --plot: every lit subimage should lie in the middle of its cell. Without --out the
+    The result is pitch, rotation, centre, the lenslets with light, and the size of the mask's image: the scale of every
+    wavefront. Check the picture of --plot: every subimage should lie in the middle of its cell. Without --out the
     result is only printed.
 
     With --linearity it needs no reference: it takes darks, then exposures without the sample from short to long and
@@ -185,7 +185,7 @@ def summary(calibrated: CalibratedBench) -> list[str]:
         f"pitch        {lattice.pitch_px:.4f} px",
         f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
         f"centre       x {lattice.center_x_px:.3f} px, y {lattice.center_y_px:.3f} px",
-        f"lenslets     {seen.rows} x {seen.columns} lit and whole on the frame; {rows} x {columns} are used",
+        f"lenslets     {seen.rows} x {seen.columns} bright and whole on the frame; {rows} x {columns} are used",
         f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
         f"quality      subimages {seen.residual_px:.3f} px RMS off the lattice, {100 * seen.likeness:.0f} % similar",
         f"scale        {scale}",

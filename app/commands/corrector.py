@@ -47,11 +47,11 @@ def corrector(
     plot: options.Plot = None,
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Tell what one corrector could do, over its distance.
+    """Predict the residual behind one corrector at each conjugate distance.
 
-    A corrector conjugate to some distance adds the same phase to every ray that meets it there. For each distance its
-    best command is found, and what it leaves over the field. The mean wavefront of the frames is corrected. See
-    docs/layers.md.
+    A corrector conjugate to some distance adds the same phase to every ray that meets it there. For each distance the
+    best command is found, and its residual over the field. The mean wavefront of the frames is corrected. See
+    `svwfs docs layers`.
 
     Example: svwfs corrector run1 --out corrector.nc --plot corrector.png
 

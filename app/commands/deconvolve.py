@@ -53,7 +53,7 @@ def deconvolve(
     The image was taken through the same sample; the middle of the field is the middle of the image unless
     imaging.center_x_px and center_y_px say otherwise. Several frames are averaged. Pixels outside the measured field
     stay as they are. The noise is estimated from the image, or given by imaging.counts_per_electron and
-    read_noise_counts. See docs/field.md.
+    read_noise_counts. See `svwfs docs field`.
 
     Example: svwfs deconvolve cells.tif --with result.nc --scale 2.5e-6 --out corrected.tif
 

@@ -32,7 +32,7 @@ def devices(
     """List the connected cameras and lights.
 
     Each is shown with its section of a bench file and with what is missing to use it. Listing switches nothing on. See
-    docs/own_sensor.md for how to connect each. The devices of the presets are simulated: check those of your own bench.
+    `svwfs docs own_sensor` for how to connect each. The devices of the presets are simulated: check your own bench.
 
     Example: svwfs devices
 

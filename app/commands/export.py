@@ -27,7 +27,7 @@ def export(
     tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
     the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
     deconvolution. double-zernike: NetCDF, one array of coefficients per frame. zernike-table: CSV, one row per frame
-    and view. See docs/recording.md.
+    and view. See `svwfs docs recording`.
 
     Example: svwfs export run1 --to csv --out run1.csv
 

@@ -32,10 +32,10 @@ def field(
         Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table of field positions.")
     ],
     basis: Annotated[
-        PupilBasis, typer.Option(help="Modes of the pupil, see docs/field.md; zernike gives double Zernikes, too.")
+        PupilBasis, typer.Option(help="Modes of the pupil, see `svwfs docs field`; zernike gives double Zernikes, too.")
     ] = FIELD_BASIS,
     order: Annotated[
-        int | None, typer.Option(min=1, help="Highest degree of the pupil modes; that of the result if omitted.")
+        int | None, typer.Option(min=1, help="Highest degree of the pupil modes; as in the result if omitted.")
     ] = None,
     field_order: Annotated[
         int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
@@ -52,7 +52,7 @@ def field(
 
     This is a full-field display: how much defocus, astigmatism, coma ... there is at each field position. The same
     wavefront is written as double Zernike coefficients in GalSim's convention. Error bars from a results file
-    neglect correlations. See docs/field.md.
+    neglect correlations. See `svwfs docs field`.
 
     Example: svwfs field run1 --out field.nc --plot field.png
 
@@ -61,7 +61,7 @@ def field(
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
     if field_order is not None and basis != "zernike":
-        raise InputError(f"--field-order is that of double Zernikes: leave it out with --basis {basis}")
+        raise InputError(f"--field-order belongs to double Zernikes: leave it out with --basis {basis}")
     options.check_files(out, sources=[source], plot=plot, overwrite=overwrite)
     require_suffix(out, ".nc", ".csv")
     with terminal.analysing(source, out) as progress:

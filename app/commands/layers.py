@@ -36,8 +36,8 @@ def layers(
 
     A thin layer shifts over the wavefront from one field position to the next, in proportion to its distance. The
     displacements of one frame give the distance of a layer, its phase map with error bars, and whether one layer, or
-    two, explain them. A recording is more accurate than a results file, which no longer holds the reference. See
-    docs/layers.md.
+    two, explain them. A recording is more accurate than a results file, which has no reference. See
+    `svwfs docs layers`.
 
     Example: svwfs layers run1 --out layers.nc --plot layers.png
 

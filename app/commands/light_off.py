@@ -12,7 +12,7 @@ from app.commands import options, terminal
 def light_off(bench: Annotated[str, options.bench_option("Bench TOML file.")]) -> None:
     """Switch the light of a bench off, for example after a service was killed.
 
-    It fails while a program that runs holds the light. A systemd service has it as ExecStopPost.
+    It fails if another program has the light open. A systemd service can have it as ExecStopPost.
 
     Example: svwfs light-off --bench lab.toml
     """

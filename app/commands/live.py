@@ -54,7 +54,12 @@ def live(
             help="Close by itself SECONDS after the first wavefront, saving the results.",
         ),
     ] = None,
-    out: Annotated[Path, options.folder_option("For screenshot, results and timings of such a run.")] = _LIVE_OUT,
+    out: Annotated[
+        Path,
+        options.folder_option(
+            "Folder for screenshot, results and timings when the window closes by itself (--seconds, or no display)."
+        ),
+    ] = _LIVE_OUT,
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,
     attach: options.Attach = False,
@@ -62,7 +67,7 @@ def live(
 ) -> None:
     """Open the window with live wavefronts at every field position.
 
-    The instrument is a process of its own, which goes on when the window hangs or is killed; see docs/sharing.md.
+    The instrument is a second process, which keeps running if the window hangs or is killed: `svwfs docs sharing`.
     Without a display it runs offscreen for a few seconds and saves a screenshot and the results. --replay plays a
     recording with its own bench unless --bench or --set changes it; --frames selects a part.
 
@@ -154,7 +159,7 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
     if opened and opened[-1].goes_on:
         place = opened[-1].address
         terminal.print_sentence(
-            f"the instrument goes on as process {place.process}; its messages go to {file_of(place.name, 'log')}"
+            f"the instrument keeps running as process {place.process}; its messages go to {file_of(place.name, 'log')}"
         )
     elif opened and opened[-1].bench.has_manual_light:
         terminal.remind(terminal.LIGHT_BY_HAND)

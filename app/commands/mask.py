@@ -24,13 +24,15 @@ def mask(
     size: Annotated[
         str | None,
         typer.Option(
-            metavar="LENGTH", help="Side of the square that holds the field, as 1.2mm; the bench's field if omitted."
+            metavar="LENGTH", help="Side of the square around the field, as 1.2mm; the bench's field if omitted."
         ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Drawing to write: SVG, DXF, GDS (GDSII) or PNG.")] = None,
     accuracy: Annotated[
         bool,
-        typer.Option("--accuracy", help="Predict errors and noise with this mask on the bench, beside the square."),
+        typer.Option(
+            "--accuracy", help="Predict errors and noise with this mask on the bench, compared with the square."
+        ),
     ] = False,
     bench: options.Bench = PAPER,
     setting: options.Set = None,
@@ -40,8 +42,8 @@ def mask(
 
     A drawing has the openings in true size, a scale bar and an orientation mark. Masks have openings only, so grey ones
     are refused. [simulation.source] of the bench has their proportions, such as the cells of the checkerboard, and the
-    bench tells what its lenslets resolve. DXF and GDS need the extra mask. --accuracy takes grey pictures, too, in the
-    size of the bench's field. See docs/masks.md.
+    bench determines what its lenslets resolve. DXF and GDS need the extra mask. --accuracy takes grey pictures, too, in
+    the size of the bench's field. See `svwfs docs masks`.
 
     Example: svwfs mask checkerboard --size 1.2mm --out mask.dxf
 

@@ -13,6 +13,7 @@ from app.errors import InputError, Interrupted, RunError
 from app.files import MEASURED
 from app.measurement.averages import FRAMES
 from app.progress import Progress, counted
+from simulated_devices.settings import MASKS
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection
@@ -26,9 +27,9 @@ def measure(
     *,
     bench: Annotated[str | None, options.bench_option()] = None,
     frames: Annotated[int, typer.Option(min=1, max=1_000_000, help="Number of frames to measure.")],
-    out: Annotated[Path, options.folder_option("New folder for the recording, with results.nc beside the frames.")],
+    out: Annotated[Path, options.folder_option("New folder for the recording, with frames and results.nc.")],
     mask: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Mask in the beam, as simulation.source.mask: square, stars, ...")
+        str | None, typer.Option(metavar="NAME", help=f"Mask in the beam: {', '.join(MASKS)} (simulation.source.mask).")
     ] = None,
     average: Annotated[int | None, options.average_option("dark and reference", FRAMES)] = None,
     auto_expose: Annotated[
@@ -45,11 +46,11 @@ def measure(
 ) -> None:
     """Measure without a window: dark, reference, frames, results.
 
-    It takes dark and reference, moves the sample in, records, and writes the results beside the frames. On a bench
+    It takes dark and reference, moves the sample in, records, and writes frames and results. On a bench
     without motors you are asked to move mask and sample. Average fewer long exposures, but at least 4, from which the
-    camera's noise is estimated. Pinholes need centroids instead of a warp (second example). Ctrl-C ends early and keeps
+    camera's noise is estimated. Pinholes need centroids instead of a warp (second example). Ctrl-C ends early and saves
     everything. With --attach it records with the dark and the reference that the instrument has, and leaves light and
-    sample as they are. See docs/results.md for the folder and docs/first_measurement.md for a whole experiment.
+    sample as they are. See `svwfs docs results` for the folder, `svwfs docs first_measurement` for a whole experiment.
 
     Example: svwfs measure --bench live_demo --frames 20 --out run1
 

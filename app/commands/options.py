@@ -44,7 +44,7 @@ def average_option(into: str, default: int, least: int = 1) -> Any:
 
 Bench = Annotated[str, bench_option()]
 Attach = Annotated[
-    bool, typer.Option("--attach", help="Use the instrument that runs already, in place of devices of a bench.")
+    bool, typer.Option("--attach", help="Connect to a running instrument (svwfs serve) instead of opening devices.")
 ]
 Instrument = Annotated[str, typer.Option("--name", metavar="NAME", help="Name of the instrument.")]
 Set = Annotated[

@@ -32,7 +32,7 @@ def paper(
     ] = None,
     setting: options.Set = None,
 ) -> None:
-    """Reproduce the paper's tables beside its own numbers.
+    """Reproduce the paper's tables next to the paper's numbers.
 
     Example: svwfs paper table1 --out paper
 

@@ -65,7 +65,7 @@ def reconstruct(
             wavefront = reconstructor.refined(image, refine, seen=note_round)
         quality = reconstructor.quality(image, wavefront)
         is_live = loaded.reconstruction.refine and not refine
-        live_note = "reconstruction.refine = true holds for live frames: here give --refine N" * is_live
+        live_note = "reconstruction.refine = true is for live frames: here give --refine N" * is_live
         notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image), live_note)
     except ReconstructionError as error:
         paths = {"frame": frame, "dark": dark}

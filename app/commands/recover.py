@@ -16,8 +16,8 @@ def recover(recording: options.RecordingFolder) -> None:
     """Complete a recording cut short by a crash, power failure or incomplete copy, and list its damage.
 
     Pixels are never changed. Everything happens in the recording's folder: each line of frames.jsonl is put in its
-    place, run.json and the arrays are completed, and half-written files are removed. Lines that are taken out are kept
-    as frames.damaged.jsonl. See docs/recording.md.
+    place, run.json and the arrays are completed, and half-written files are removed. Lines that are taken out are saved
+    as frames.damaged.jsonl. See `svwfs docs recording`.
 
     Example: svwfs recover run1
     """

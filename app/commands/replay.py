@@ -29,9 +29,9 @@ def replay(
 ) -> None:
     """Reconstruct the frames of a recording again.
 
-    They keep their own dark, reference, lattice and refinement, and are compared with what was recorded: a difference
-    beyond a thousandth of the standard deviation is reported (docs/recording.md). With another --bench, or the recorded
-    one changed by --set, the wavefronts are compared with the recorded ones view by view.
+    Dark, reference, lattice and refinement are the recorded ones, and results are compared with the recorded results: a
+    difference beyond a thousandth of the standard deviation is reported (`svwfs docs recording`). With another --bench,
+    or the recorded one changed by --set, the wavefronts are compared with the recorded ones view by view.
 
     Example: svwfs replay run1 --verify
 

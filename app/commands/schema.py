@@ -8,9 +8,9 @@ import typer
 
 
 def schema() -> None:
-    """Print the JSON schema of a bench, with which an editor completes and checks one while you type.
+    """Print the JSON schema of a bench, with which an editor completes and checks a bench while you type.
 
-    Write it into bench.schema.json beside your bench, and begin the bench with the line "#:schema bench.schema.json".
+    Write it into bench.schema.json next to your bench, and begin the bench with the line "#:schema bench.schema.json".
 
     Example: svwfs schema
     """

@@ -33,7 +33,7 @@ def serve(
 
     It takes dark and reference, moves the sample in, and measures until Ctrl-C, or until a client shuts it down; then
     the light is off. svwfs live --attach, svwfs measure --attach and svwfs.connect() attach to it; one that hangs or is
-    killed changes nothing. See docs/sharing.md.
+    killed changes nothing. See `svwfs docs sharing`.
 
     Example: svwfs serve --bench live_demo
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from app.errors import InputError, Interrupted
 from app.progress import LINE_START, LINES
@@ -25,6 +25,14 @@ LIGHT_BY_HAND = "the light is manual: make sure that it is off"
 def printable(text: str) -> str:
     """Return a text in one line, without control codes that could change the terminal."""
     return "".join(each if each.isprintable() else each.encode("unicode_escape").decode() for each in text)
+
+
+def hint(message: str, stream: TextIO) -> str:
+    """Return which command explains a message, if a person reads the stream; else nothing."""
+    from app.documentation import entry_of
+
+    anchor = entry_of(message) if stream.isatty() else ""
+    return f"  (svwfs docs {anchor})" if anchor else ""
 
 
 @contextmanager
@@ -69,7 +77,7 @@ def print_warning(sentence: str) -> None:
     from rich.console import Console
     from rich.markup import escape
 
-    text = f"[yellow]warning:[/] {escape(printable(sentence))}"
+    text = f"[yellow]warning:[/] {escape(printable(sentence) + hint(sentence, sys.stdout))}"
     Console(highlight=False, emoji=False, soft_wrap=True).print(text)
 
 

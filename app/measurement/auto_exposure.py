@@ -99,7 +99,7 @@ def auto_expose(devices: Devices, cell_px: float, callbacks: RoutineCallbacks, *
             callbacks.progress(frame, 1.0 if is_reached else len(shots) / MOST_FRAMES)
             if is_reached:
                 if seen.level - seen.background < _LEAST_CONTRAST * seen.level:
-                    why = "light falls on the camera, but shows no subimages: is the room dark, the lamp on?"
+                    why = "light falls on the camera, but shows no subimages: switch the lamp on, and cover the setup"
                     raise RoutineError(why)
                 state.exposure_s, state.current_a = camera.exposure_s, devices.light.current_a
                 return AutoExposure(state.exposure_s, state.current_a, seen.level / full_scale, len(shots))

@@ -192,8 +192,8 @@ _MOVED_RAD = 0.1  # limit for a nearly flat wavefront
 _CORRECTION_REST_S = 1.0  # at most, after a search with a correction, which would grow old
 _WAIT_S = 0.2
 _NOISES, _STILL_RAD = 2.0, 0.01  # changes of the wavefront from frame to frame, and a least one, that count as noise
-_ENDED = "the process that finds layers and corrections has ended: take the reference again"
-_FROZEN = "the process that finds layers and corrections was stopped: let it go on, or take the reference again"
+_ENDED = "the process that finds layers and corrections has ended: take the reference again (R)"
+_FROZEN = "the process that finds layers and corrections was stopped: continue it, or take the reference again (R)"
 
 
 class LiveEstimator:

@@ -215,5 +215,5 @@ def _left_out(reconstructor: Reconstructor, sample: AssumedSample | None) -> str
     elif sample.ratios:
         source = "follow from the layer" if len(sample.ratios) == 1 else "follow from the layers"
     else:
-        source = "are known only by the prior"
+        source = "follow only from the smoothness assumption (large error bars)"
     return f"the mask shows {count - hidden} of {count} deformations of a {warp} warp; the others {source}"

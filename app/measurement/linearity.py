@@ -31,7 +31,7 @@ def measure_linearity(devices: Devices, cell_px: float, frames: int, callbacks: 
     if isinstance(light, ManualLight):
         raise RoutineError("a light that is switched by hand is not as steady as this needs: connect its driver")
     if frames < LEAST_EXPOSURE_FRAMES:
-        raise RoutineError(f"at least {LEAST_EXPOSURE_FRAMES} frames of each exposure are needed: they tell its noise")
+        raise RoutineError(f"at least {LEAST_EXPOSURE_FRAMES} frames of each exposure are needed, to know their noise")
     with restored(devices):
         devices.stage.set_sample_in(False)
         exposures_s = _exposure_times(devices, cell_px, callbacks)

@@ -118,9 +118,9 @@ def _kept_scale(reference: Average, dark: Average | None, bench: Bench) -> MaskS
 def scale_quality(calibration: Calibration) -> Quality:
     """Judge by the lattice's pitch and the image of the mask whether the bench's lengths are those of a reference.
 
-    The image is not judged if the reference does not clearly show the mask (an octagon looks like a circle 3 % smaller,
-    with a misfit of 4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its square is
-    not as large as the field.
+    The image is not checked if the reference does not clearly show the mask (an octagon looks like a circle 3 %
+    smaller, with a misfit of 4 %), or if the bench does not describe it: `[simulation.source]` is left out, and its
+    square is not as large as the field.
     """
     bench, source = calibration.bench, calibration.bench.simulation.source
     pitch = calibration.lattice.pitch_px / bench.sensor.lenslet_pitch_px

@@ -269,7 +269,7 @@ class Recorder:
             if self._kept is not None and not self._kept.state.is_over:
                 raise InputError(f"{self._kept.state.folder}: is still being written")
             if not self._recent:
-                raise InputError("there is no frame yet that could be kept")
+                raise InputError("there is no frame yet that could be saved")
             folder = new_folder(folder) if may_rename else folder
             self._kept = BackgroundRecording(folder, facts, Timings(), records=tuple(self._recent))
             self._kept.stop()

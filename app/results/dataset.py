@@ -89,7 +89,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
         "wavefront_sigma": ((*VIEW, *LENSLET), wavefront.sigma(), about("rad", "standard deviation of wavefront")),
         "displacement": (vectors, displacement.coefficients, about("px", "coefficients of the field modes")),
         "displacement_sigma": (vectors, np.sqrt(displacement.variance), about("px", "standard deviation")),
-        "valid": (LENSLET, displacement.valid, about("1", "whether the lenslet yields a slope")),
+        "valid": (LENSLET, displacement.valid, about("1", "whether the lenslet has a slope")),
         "outcome": (LENSLET, displacement.outcome, outcome),
         "residual_rms": (LENSLET, displacement.residual_rms, about("1", misfit)),
         "range_used": (LENSLET, displacement.range_used, about("1", _RANGE)),

@@ -182,7 +182,7 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
     width = np.clip(lattice.pitch_px / 25, 0.4, 1.3)
     for position, colour, style, name in (
         (cut, _CUT, ":", "cut by the frame's edge"),
-        (beside, _BESIDE, "--", "whole, beside the sensor's lenslets"),
+        (beside, _BESIDE, "--", "whole, not among the sensor's lenslets"),
         (own[lit], _LIT, "-", "lit"),
         (own[~lit], _DARK, "-", "dark"),
     ):
@@ -229,7 +229,7 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
     axes.quiverkey(arrows, 0.93, -0.17, arrow_px, f"{arrow_px:g} px", labelpos="W", fontproperties={"size": 9})
     axes.set(xlim=(-1, columns), ylim=(rows, -1), aspect=found.lattice.row_spacing)
     axes.set(xlabel="lenslet column", ylabel="lenslet row")
-    axes.set_title("each lenslet's light beside the lattice", fontsize=10)
+    axes.set_title("each lenslet's light next to the lattice", fontsize=10)
 
 
 def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:

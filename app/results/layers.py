@@ -124,7 +124,7 @@ _FROM: dict[Origin, str] = {"lenslets": "in front of the lenslets", "mask": "fro
 _FINE_M = 1e-4  # errors below it have two decimals in mm
 _AMBIGUOUS = {
     1: "none: one layer has its tilt and all other terms",
-    2: "tilt: the maps have none, because the tilts of two layers cannot be told apart; quadratic terms are uncertain,"
+    2: "tilt: the maps have none, because the tilts of two layers cannot be separated; quadratic terms are uncertain,"
     " as layer_phase_sigma says",
 }
 

@@ -76,7 +76,7 @@ class Verification:
             f"the largest difference is {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
         )
         if first_sigma:
-            largest += f", besides {first_sigma:.2g} sigma in frame {first}, whose start was not recorded"
+            largest += f", and {first_sigma:.2g} sigma in frame {first}, whose start was not recorded"
         if not self.different:
             skipped = f"; {self._skipped} more were not reconstructed then" if self._skipped else ""
             return f"{counted(self.frames)} as recorded: {largest}{skipped}"

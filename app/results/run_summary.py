@@ -24,7 +24,7 @@ _RESULTS, _DARK, _REFERENCE = MEASURED
 _WEAK_RAD = 0.1  # RMS from which on noise is not looked at: it takes some milliseconds
 ROTATES = (
     "the subimages rotate, which thin layers cannot cause: look for a cylinder lens, different magnifications"
-    " along x and y, or a camera turned since the reference; keep registration.rotation = true"
+    " along x and y, or a camera turned since the reference; leave registration.rotation = true"
 )
 
 

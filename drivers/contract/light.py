@@ -27,7 +27,7 @@ def check_switches(light: LightSource) -> None:
         )
     for word in ("off", 1, None):
         require_raises(BadValue, f"the switch {word!r}", light.set_on, word)
-    require(not light.is_on, "a refused switch lit it")
+    require(not light.is_on, "a refused switch put it on")
 
 
 def check_currents(light: LightSource) -> None:

@@ -22,14 +22,12 @@ class DcamSettings:
     library: Annotated[str, Doc("Path of dcamapi.dll or libdcamapi.so if not installed in the standard place")] = ""
     pixel_pitch_m: PitchSetting | None = None
     amplifier: Literal["normal", "em"] | None = None
-    readout_speed: Annotated[int, Ge(1), Le(100), Doc("1 is the slowest, the normal amplifier's only one")] | None = (
-        None
-    )
+    readout_speed: Annotated[int, Ge(1), Le(100), Doc("Readout speed; with the normal amplifier 1")] | None = None
     exposure_s: ExposureSetting | None = None
     em_gain: Annotated[float, Ge(0), Le(1e5)] | None = None
-    em_gain_protection: Annotated[bool, Doc("Black frames instead of light that would age the EM register")] = True
-    em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("With too much light, before it acts")] | None = None
-    em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Up to 3, the most sensitive")] | None = None
+    em_gain_protection: Annotated[bool, Doc("Protection of the EM register: black frames in too much light")] = True
+    em_gain_protection_frames: Annotated[int, Ge(1), Le(255), Doc("Number of too bright frames allowed")] | None = None
+    em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Warning level; 3 is the most sensitive")] | None = None
     binning: Annotated[int, Ge(1), Le(16)] = 1
     region: RegionSetting | None = None
     trigger: Literal["internal", "external", "software"] = "internal"
@@ -38,13 +36,13 @@ class DcamSettings:
     trigger_delay_s: Annotated[float, Ge(0), Le(86_400)] | None = None
     output: (
         Annotated[
-            Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Output of the first connector")
+            Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Signal at the first output")
         ]
         | None
     ) = None
     output_polarity: Literal["negative", "positive"] | None = None
     cooler: Literal["off", "on", "max"] | None = None
-    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest is overwritten")] = 128
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Frames buffered before the oldest is overwritten")] = 128
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

@@ -99,7 +99,7 @@ FILTERS = {
     Id.RECURSIVEFILTER: (OFF, "the camera's recursive filter averages frames, which lowers their noise"),
     Id.FRAMEAVERAGINGMODE: (OFF, "the camera averages frames, which lowers their noise"),
     Id.SPOTNOISEREDUCER: (OFF, "the camera's spot noise reducer changes single pixels"),
-    Id.SUBTRACT: (OFF, "the camera subtracts a stored image: the counts are no longer those of the sensor"),
+    Id.SUBTRACT: (OFF, "the camera subtracts a stored image: the counts are no longer the sensor's"),
     Id.SHADINGCORRECTION: (OFF, "the camera's shading correction scales the pixels"),
     Id.INTENSITYLUT_MODE: (1, "the camera maps the counts by a table"),
     Id.PHOTONIMAGINGMODE: (0, "the camera's photon imaging mode changes the counts"),

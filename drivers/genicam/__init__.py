@@ -18,7 +18,7 @@ class GenicamSettings:
     driver: Literal["genicam"] = "genicam"
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
     pixel_pitch_m: PitchSetting | None = None
-    pixel_format: Annotated[str, Doc('For example "Mono12"; empty takes the deepest without padding')] = ""
+    pixel_format: Annotated[str, Doc('Pixel format, for example "Mono12"; empty: the deepest without padding')] = ""
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
         None
     )
@@ -28,25 +28,25 @@ class GenicamSettings:
     exposure_s: ExposureSetting | None = None
     gain: (
         Annotated[
-            float, Ge(-1e5), Le(1e5), Doc("Analogue, in the camera's unit, mostly dB; no electron multiplication")
+            float, Ge(-1e5), Le(1e5), Doc("Analogue gain in the camera's unit, mostly dB; no electron multiplication")
         ]
         | None
     ) = None
-    frame_rate_hz: Annotated[float, Gt(0), Le(1e6), Doc("Omitted: as fast as exposure and readout allow")] | None = None
+    frame_rate_hz: Annotated[float, Gt(0), Le(1e6), Doc("Frame rate; omitted: the highest")] | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
     region: RegionSetting | None = None
-    trigger: Annotated[str, Doc('"internal", or one of the camera\'s sources, for example "Line0"')] = "internal"
-    buffers: Annotated[int, Ge(2), Le(10000), Doc("Buffered frames before the next is lost")] = 32
+    trigger: Annotated[str, Doc("Trigger: internal, or an input of the camera, such as Line0")] = "internal"
+    buffers: Annotated[int, Ge(2), Le(10000), Doc("Frames buffered before the next is lost")] = 32
     packet_size: (
         Annotated[
-            int, Ge(576), Le(65535), Doc("Bytes, GigE; omitted: the largest that gets through; 8000 needs jumbo frames")
+            int, Ge(576), Le(65535), Doc("Bytes of a GigE packet; omitted: the largest possible; 8000: jumbo frames")
         ]
         | None
     ) = None
     socket_buffer_bytes: Annotated[
-        int, Ge(2**16), Le(2**30), Doc("GigE; the system may grant less (net.core.rmem_max)")
+        int, Ge(2**16), Le(2**30), Doc("Receive buffer of a GigE camera; the system may grant less (net.core.rmem_max)")
     ] = 2**24
-    packet_socket: Annotated[bool, Doc("GigE: faster, past the system's network stack; needs root")] = False
+    packet_socket: Annotated[bool, Doc("Packets past the system's network stack: faster, needs root")] = False
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

@@ -234,7 +234,9 @@ def load_library() -> tuple[ctypes.CDLL, ...]:
         with suppress(OSError):
             if found:
                 return (ctypes.CDLL(found),)
-    raise Unsupported(f"GenICam cameras need the library Aravis 0.8, which is not installed: {HOW_TO_INSTALL}")
+    raise Unsupported(
+        f"GenICam cameras need the library Aravis 0.8.20 or later, which is not installed: {HOW_TO_INSTALL}"
+    )
 
 
 def _packaged() -> list[str]:

@@ -19,10 +19,10 @@ class MicroManagerSettings:
     """
 
     driver: Literal["micro_manager"] = "micro_manager"
-    adapter: Annotated[str, MinLen(1), Doc('For example "AndorSDK3"')]
+    adapter: Annotated[str, MinLen(1), Doc('Device adapter, for example "AndorSDK3"')]
     device: Annotated[str, MinLen(1), Doc('Name of the camera in the adapter, for example "Andor sCMOS Camera"')]
-    adapter_folder: Annotated[str, Doc("Where Micro-Manager is installed")] = ""
-    properties: Annotated[dict[str, str], Doc("Set at open, by the adapter's names")] = field(default_factory=dict)
+    adapter_folder: Annotated[str, Doc("Folder of Micro-Manager with its adapters")] = ""
+    properties: Annotated[dict[str, str], Doc("Properties, by the adapter's names")] = field(default_factory=dict)
     pixel_pitch_m: (
         Annotated[float, Gt(0), Le(1e-3), Doc("Pixel pitch of the sensor; Micro-Manager does not know it")] | None
     ) = None
@@ -30,7 +30,7 @@ class MicroManagerSettings:
     exposure_s: ExposureSetting | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1
     region: RegionSetting | None = None
-    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Buffered before the oldest are overwritten")] = 64
+    ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Frames buffered before the oldest are overwritten")] = 64
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""

@@ -15,7 +15,7 @@ class SerialLightSettings:
     """Settings of every light on a serial port."""
 
     driver: str
-    port: Annotated[str, Doc("Such as /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
+    port: Annotated[str, Doc("Serial port, for example /dev/ttyUSB0, /dev/ttyACM0 or COM3")] = ""
     serial_number: Annotated[str, Doc("Serial number of the USB adapter, instead of the port")] = ""
     current_a: Annotated[float, Ge(0), Le(100), KEPT_CURRENT] | None = None
 
@@ -32,10 +32,10 @@ class CoolLEDSettings(SerialLightSettings):
     driver: Literal["coolled"] = "coolled"
     channel: Annotated[
         Literal["A", "B", "C", "D", "E", "F", "G", "H"],
-        Doc("A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box"),
+        Doc("Channel: A ... C of a pE-300, A ... D of a pE-4000, E ... H of its expansion box"),
     ] = "A"
     full_current_a: Annotated[float, Gt(0), Le(100), Doc("Nominal current at 100 %")] = 1.0
-    wavelength_nm: Annotated[int, Ge(300), Le(1000), Doc("To load into A ... D of a pE-4000")] | None = None
+    wavelength_nm: Annotated[int, Ge(300), Le(1000), Doc("Wavelength to load, pE-4000, A ... D")] | None = None
     limit_a: Annotated[float, Gt(0), Le(100), OWNERS_LIMIT] | None = None
 
     def faults(self) -> Iterator[tuple[str, str]]:
@@ -50,5 +50,5 @@ class DC4100Settings(SerialLightSettings):
     """Selection and settings of a Thorlabs DC4100 or DC4104."""
 
     driver: Literal["thorlabs_dc4100"] = "thorlabs_dc4100"
-    channel: Annotated[int, Ge(0), Le(3), Doc("0 ... 3 are LED1 ... LED4")] = 0
+    channel: Annotated[int, Ge(0), Le(3), Doc("Channel: 0 ... 3 are LED1 ... LED4")] = 0
     limit_a: Annotated[float, Gt(0), Le(10), OWNERS_LIMIT] | None = None

@@ -29,21 +29,21 @@ class Imaging(Checked):
     center_y_px: float | None = None
     rotation_rad: Annotated[float, Ge(-4), Le(4)] = 0.0
     is_mirrored: bool = False
-    pupil_diameter_m: Annotated[float, Ge(1e-6), Le(100), Doc("If round; omitted: the lattice")] | None = None
+    pupil_diameter_m: Annotated[float, Ge(1e-6), Le(100), Doc("Round pupil; omitted: the lattice")] | None = None
     numerical_aperture: (
         Annotated[float, Ge(1e-6), Le(2), Doc("Numerical aperture, in place of the diameter")] | None
     ) = None
-    wavelength_m: Annotated[float, Ge(1e-8), Le(1e-3), Doc("Omitted: the sensor's")] | None = None
+    wavelength_m: Annotated[float, Ge(1e-8), Le(1e-3), Doc("Wavelength; omitted: the sensor's")] | None = None
     dark_counts: Annotated[float, Doc("Counts of a pixel without light")] = 0.0
-    counts_per_electron: Annotated[float, Ge(1e-6), Le(1e6), Doc("Omitted: estimated")] | None = None
+    counts_per_electron: Annotated[float, Ge(1e-6), Le(1e6), Doc("Conversion gain; omitted: estimated")] | None = None
     read_noise_counts: Annotated[float, Ge(0)] = 0.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
         if self.pupil_diameter_m is not None and self.numerical_aperture is not None:
-            yield "numerical_aperture", "must be left out beside pupil_diameter_m"
+            yield "numerical_aperture", "must be left out if there is pupil_diameter_m"
         if self.read_noise_counts and self.counts_per_electron is None:
-            yield "read_noise_counts", "needs counts_per_electron beside it"
+            yield "read_noise_counts", "needs counts_per_electron, too"
 
     @property
     def to_field(self) -> Floats:

@@ -20,14 +20,14 @@ from reconstruction.arrays import Image
 class Linearity(Checked):
     """Nonlinearity of the camera, of `svwfs calibrate --linearity`; q is the signal over the highest one."""
 
-    quadratic: Annotated[float, Ge(-0.5), Le(0.5), Doc("Light is signal (1 + quadratic q + cubic q^2)")]
+    quadratic: Annotated[float, Ge(-0.5), Le(0.5), Doc("Coefficient in signal (1 + quadratic q + cubic q^2)")]
     cubic: Annotated[float, Ge(-0.5), Le(0.5)] = 0.0
     highest_counts: Annotated[float, Gt(0), Le(1e9), Doc("Highest signal of the measurement, above the dark")]
-    quadratic_sigma: Annotated[float, Ge(0), Le(1), Doc("Standard error")] = 0.0
-    cubic_sigma: Annotated[float, Ge(0), Le(1), Doc("Standard error")] = 0.0
-    chi_square: Annotated[float, Ge(0), Le(1e9), Doc("Reduced, of the measurement")] = 1.0
+    quadratic_sigma: Annotated[float, Ge(0), Le(1), Doc("Standard error of quadratic")] = 0.0
+    cubic_sigma: Annotated[float, Ge(0), Le(1), Doc("Standard error of cubic")] = 0.0
+    chi_square: Annotated[float, Ge(0), Le(1e9), Doc("Reduced chi-square of the measurement")] = 1.0
     amplifier: Annotated[str, Doc("Camera's amplifier in the measurement; none: unknown")] = ""
-    em_gain: Annotated[float, Ge(1), Le(1e6), Doc("Electron multiplication in the measurement")] = 1.0
+    em_gain: Annotated[float, Ge(1), Le(1e6), Doc("EM gain in the measurement")] = 1.0
 
     def faults(self) -> Any:
         """Yield settings that contradict others, and why."""

@@ -59,7 +59,7 @@ class Exposures:
             )
         lit = np.flatnonzero((brightest > _DIM * self._top) & (brightest < min(1.05 * self._top, full_scale)))
         if lit.size < _BINS * _FEWEST_PIXELS:
-            raise ReconstructionError(f"only {lit.size} pixels are lit: {_BINS * _FEWEST_PIXELS} are needed")
+            raise ReconstructionError(f"only {lit.size} pixels have light: {_BINS * _FEWEST_PIXELS} are needed")
         order = lit[np.argsort(brightest.ravel()[lit], kind="stable")]
         self._bins = np.array_split(order, _BINS)
         self._exposure_s: list[float] = []

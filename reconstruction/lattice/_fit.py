@@ -256,9 +256,9 @@ def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) ->
     if lit < max(brightest, _FEWEST_LIT) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
         return f"light in {lit} of its lenslets is too little"
     if (scatter := float(np.sqrt(np.mean(np.sum(fit.off_lattice[is_lit] ** 2, axis=-1))))) > _SCATTER:
-        return f"the images lie {100 * scatter:.0f} % of the pitch beside a {fit.lattice.arrangement} lattice"
+        return f"spots deviate from a {fit.lattice.arrangement} lattice by {100 * scatter:.0f} % of the pitch"
     if _repeats_inside(fit.match.typical):
-        return "its cells hold the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
+        return "its cells show the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
     return ""
 
 
@@ -278,7 +278,7 @@ def _why_irregular(peak: Peak, lit: int) -> str:
         return "was the light on?"
     if max(peak.strength) > _ONE_SIDED * min(peak.strength):
         return "its light repeats in one direction only"
-    return "was the light on?" if lit < _FEWEST_LIT else "its cells do not hold the same image"
+    return "was the light on?" if lit < _FEWEST_LIT else "its cells do not show the same image"
 
 
 def _halves_alike(cells: Cells) -> float:

@@ -78,7 +78,7 @@ _ACROSS = np.linspace(-0.8, 0.8, 5)  # normalised field positions at which defor
 _MODES_SHARE, _MOST_DEGREE = 0.36, 16  # modes of a smooth wavefront over the number of slopes, and their degree
 _TILE = 16  # lenslets a side whose slopes are judged together
 _LEAST_SIDE, _LEAST_LENSLETS = 4, 25  # fewer sample a smooth wavefront too coarsely: right frames would be flagged
-_FEW_LENSLETS = "slopes are not judged: the lattice has too few lenslets"
+_FEW_LENSLETS = "slopes are not checked: the lattice has too few lenslets"
 
 
 class QualityChecker:
@@ -130,15 +130,15 @@ class QualityChecker:
         self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
 
     def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
-        """Say what is not judged, and why; `needed_frames` to average if the reference is too noisy."""
+        """Say what is not checked, and why; `needed_frames` to average if the reference is too noisy."""
         if not has_limit:
-            yield "misfit is not judged: it has no limit for this registration"
+            yield "misfit is not checked: it has no limit for this registration"
         elif not self._knows_misfit:
-            yield "misfit is not judged: the noise of the images is unknown"
+            yield "misfit is not checked: the noise of the images is unknown"
         if not self._tiles:
             yield _FEW_LENSLETS
         if needed_frames is not None:
-            yield f"slopes are not judged: the reference is noisy: average at least {needed_frames} frames"
+            yield f"slopes are not checked: the reference is noisy: average at least {needed_frames} frames"
 
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
@@ -171,7 +171,7 @@ class QualityChecker:
         if left > _LEFT * lit:
             yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
         if dark > _BLOCKED * lit:
-            are_dark = "are dark, but lit in the reference: what blocks the light?"
+            are_dark = "are dark, but bright in the reference: find what blocks the light"
             yield Fault.ILLUMINATION, f"{dark} of {count} lenslets {are_dark}"
 
     def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
@@ -189,7 +189,7 @@ class QualityChecker:
             yield Fault.ILLUMINATION, f"the light of {uneven} lenslets has changed, {change}"
         elif (rise := self._stray_light(added, displacement)) > 0:
             change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
-            yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: keep it off the camera"
+            yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: cover the setup"
         else:
             yield from propagation_faults(
                 displacement, self._lit, ratio, self._half_width_px, neglect_propagation=self._neglects

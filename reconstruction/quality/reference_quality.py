@@ -50,14 +50,14 @@ def reference_quality(
         if off_px > _OFF_LATTICE * lattice.pitch_px:
             reasons[Fault.LATTICE] = (
                 f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale (calibrate"
-                " again, or leave [lattice] out), unless the mask is asymmetric (keep a [lattice] from a symmetric one)"
+                " again, or leave [lattice] out), unless the mask is asymmetric (use a [lattice] from a symmetric one)"
             )
         elif (more := lit_elsewhere(light, lattice, shown, sensor)) > _MISSING * min(
             sensor.lenslet_rows, sensor.lenslet_columns
         ):
             reasons[Fault.LATTICE] = (
-                f"the reference shows {more} more lenslets whole pitches away from [lattice], which is wrong or stale:"
-                " calibrate again, or leave [lattice] out"
+                f"the reference shows {more} more lenslets whole pitches away from [lattice], which is wrong or stale"
+                " (calibrate again, or leave [lattice] out), unless the mask is asymmetric"
             )
     if dark is not None:
         leak = leaked_light(np.asarray(dark, np.float64), light)

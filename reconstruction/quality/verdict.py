@@ -81,7 +81,7 @@ def repeated_reference(frame: Counts, reference: Counts) -> Quality:
 
     Noise makes two exposures differ.
     """
-    reason = "the frame is the reference itself: give another exposure" if _are_same(frame, reference) else ""
+    reason = "frame and reference are the same image: choose another frame" if _are_same(frame, reference) else ""
     return Quality.of(Fault.FROZEN, reason)
 
 

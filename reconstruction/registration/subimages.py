@@ -81,7 +81,7 @@ class ReferenceSubimages:
         self.reach_px = (self.cell_height_px - self.blur_px) / 2  # light beyond it reaches the next cell
         if not self.half_width_px < self.reach_px:
             raise ReconstructionError(
-                f"the image of the field, {2 * self.half_width_px:.1f} px wide, leaves no room to move in cells of"
+                f"the image of the field, {2 * self.half_width_px:.1f} px wide, leaves no space to move in cells of"
                 f" {self.cell_height_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
             )
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)

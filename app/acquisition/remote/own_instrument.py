@@ -93,7 +93,7 @@ class OwnInstrument:
         if self._connection is not None:
             self._connection.close(CLOSING_S)
             if self._connection.process.poll() is None:
-                why = "goes on" if self._connection.goes_on else "does not end"
+                why = "keeps running" if self._connection.goes_on else "does not end"
                 raise RunError(f"the instrument's process {self._connection.process.pid} {why}: its devices are in use")
             self._connection = None
         self._connection = OwnConnection(

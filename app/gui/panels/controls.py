@@ -235,7 +235,7 @@ class ControlsPanel(Panel):
             return
         share = statistics.peak / statistics.clip_level
         state: Validity = "good" if share > _DIM and not statistics.is_nearly_full else "doubtful"
-        about = f"brightest pixel beside full scale; {percent(FILL)} is best"
+        about = f"brightest pixel, % of full scale; aim for {percent(FILL)}"
         self.auto_exposure.show_step(state, percent(share), about)
 
     def _method_in_words(self) -> str:

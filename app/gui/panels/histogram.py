@@ -22,7 +22,7 @@ class HistogramPanel(Panel):
         keys = ((percent(NEARLY_FULL), theme.AMBER), ("clipped", theme.RED))
         self.plot = Plot("Histogram", "counts", keys, widest="10000")
         self.plot.setToolTip(
-            f"Number of pixels over their counts. Keep the brightest below {keys[0][0]} of the level that clips."
+            f"Number of pixels over their counts. The brightest should be below {keys[0][0]} of the level that clips."
         )
         self.curve = pg.PlotCurveItem(x=[0, 1], y=[0], stepMode="center", fillLevel=0)
         self.plot.view.addItem(self.curve)

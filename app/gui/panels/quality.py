@@ -108,7 +108,7 @@ class StructurePlot(Plot):
         super().__init__("Change (rad)", "separation in the field (mm)", keys)
         self.setToolTip(
             "RMS difference between the wavefronts at two field positions over their separation.\n"
-            "The band holds all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"
+            "The band contains all pairs. The isoplanatic patch ends where the difference reaches 1 rad.\n"
             "Tilt displaces the image; the rest blurs it."
         )
         self._scale = AdaptiveScale()

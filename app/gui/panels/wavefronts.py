@@ -71,7 +71,7 @@ class WavefrontPanel(Panel):
             tip = f"{PRESENTATIONS[quantity].about} ({index + 1})"
             self.choice.setItemData(index, tip, Qt.ItemDataRole.ToolTipRole)
         self._summary = ElidedLabel(lines=2)
-        about = "Keep the colour scale (H); a click on the bar types its limit"
+        about = "Fix the colour scale (H); a click on the bar types its limit"
         self.fix_scale = checkable(self, "Fix scale", about, self._show_fixed)
         self.menu = DisplayMenu(self)
         self.menu.changed.connect(self._apply_options)
@@ -259,7 +259,7 @@ class WavefrontPanel(Panel):
     def _store(self) -> None:
         if self._newest is not None:
             now = f"{datetime.now().astimezone():%H:%M:%S}"
-            name = f"that of {now if self.shown.replayed is None else self.shown.replayed[0]}"
+            name = f"wavefront of {now if self.shown.replayed is None else self.shown.replayed[0]}"
             self.menu.change(stored=self._display.store(self._newest, name))
 
     def _fit_pupil(self) -> None:

@@ -181,7 +181,7 @@ class CalibrationGuide(QDialog):
                     self._next()
 
                 question = "The bench has another lattice."
-                self._ask(question, "Use this one", use, "Keep that of the bench", self._next)
+                self._ask(question, "Use this one", use, "Use the bench's", self._next)
                 return
         self._mark(step, "done", text)
         self._next()

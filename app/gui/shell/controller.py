@@ -76,7 +76,11 @@ class Controller(QObject):
     @property
     def left(self) -> str:
         """Say that the instrument goes on, or why it has ended; empty if it ends with the window."""
-        return "" if self._process is None else self._process.loss or "the instrument goes on" * self._process.goes_on
+        return (
+            ""
+            if self._process is None
+            else self._process.loss or "the instrument keeps running" * self._process.goes_on
+        )
 
     @property
     def _process(self) -> Connection | None:
@@ -215,7 +219,11 @@ class Controller(QObject):
             return True
         state = connection.recording
         recording = state.folder.name if state is not None and state.stage == "recording" else ""
-        recorded = f"recording {recording} goes on, too; else it ends" if recording else "nothing is recorded"
+        recorded = (
+            f"recording {recording} continues; if you stop the instrument, the recording ends"
+            if recording
+            else "nothing is recorded"
+        )
         box = QMessageBox(parent)
         box.setIcon(QMessageBox.Icon.Question)
         box.setWindowTitle("svwfs")

@@ -7,7 +7,7 @@ from PyQt6.QtCore import QT_VERSION_STR, QSize, Qt, QUrl
 from PyQt6.QtGui import QFontDatabase, QImage, QTextCursor, QTextDocument, QTextOption
 from PyQt6.QtWidgets import QDialog, QTextBrowser, QWidget
 
-import app
+from app.documentation import FIRST_PAGE, TROUBLES, documentation, entries, entry_of
 from app.gui.panels.panel import Entries
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.buttons import Button, close_button
@@ -17,7 +17,6 @@ from app.run_facts import machine_facts, versions
 
 _CONVENTIONS, _CITATION = (Path(__file__).parents[1] / name for name in ("conventions.html", "citation.txt"))
 _SIZE_LINES = QSize(60, 46)  # of the help, in heights of a line
-_FIRST_PAGE = "window.md"
 
 
 def _key_table(title: str, entries: Entries) -> str:
@@ -62,19 +61,16 @@ class TextDialog(QDialog):
         fill_dialog(self, (self.view, 1), row(self.back, (QWidget(), 1), self.copy, close_button(self), spacing=8))
         self.resize(within_screen(self, QSize(760, 480)))
 
-    def show_page(self, page: QUrl) -> None:
+    def show_page(self, page: Path, heading: str = "") -> None:
+        """Show a page, from a heading on."""
         self.resize(within_screen(self, QSize(960, 720)))
         self.back.show()
         self.back.setEnabled(False)
         self.view.backwardAvailable.connect(self.back.setEnabled)
         self.show()  # the page has its width from now on
-        self.view.setSource(page)
-
-
-def documentation() -> Path | None:
-    """Return the folder of the documentation, in the package or beside its source; None if missing."""
-    package = Path(app.__file__).parent
-    return next((each for each in (package / "docs", package.parent / "docs") if (each / _FIRST_PAGE).is_file()), None)
+        self.view.setSource(QUrl.fromLocalFile(str(page)))
+        if heading and self.view.find(heading) and (bar := self.view.verticalScrollBar()) is not None:
+            bar.setValue(bar.value() + self.view.cursorRect().top())
 
 
 def _show_log(messages: MessageStrip) -> None:
@@ -108,13 +104,14 @@ def help_entries(
         dialog.show()
 
     messages.show_log.clicked.connect(lambda: _show_log(messages))
+    messages.explain.clicked.connect(lambda: show_documentation(TROUBLES, entry_of(messages.text.text())))
 
-    def show_documentation() -> None:
+    def show_documentation(page: str = FIRST_PAGE, anchor: str = "") -> None:
         if (folder := documentation()) is None:
             messages.warn("the documentation is not installed: it is in the folder docs of the source")
         else:
-            page = QUrl.fromLocalFile(str(folder / _FIRST_PAGE))
-            TextDialog("documentation", "Documentation", window).show_page(page)
+            heading = entries().get(anchor, "").partition("\n")[0]
+            TextDialog("documentation", "Documentation", window).show_page(folder / page, heading)
 
     def show_about() -> None:
         installed = versions("zarr")

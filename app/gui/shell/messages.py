@@ -11,6 +11,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QFrame, QProgressBar
 
 from app.acquisition.instrument import Activity
+from app.documentation import entry_of
 from app.gui.shell.status_text import as_sentence
 from app.gui.widgets import theme
 from app.gui.widgets.buttons import Button
@@ -50,10 +51,20 @@ class MessageStrip(QFrame):
         self.dismiss = Button("Dismiss", "Remove this message (Esc)", lambda: self.alarm(""))
         self.cancel = Button("Cancel", "Stop, and restore the devices (Esc)", self.cancel_requested)
         self.show_log = Button("Log…", "All messages with their times (Ctrl+L)")
+        self.explain = Button("?", "Cause and remedy of this message")
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setTextVisible(False)
-        hidden = (self.reconnect, self.control, self.accept, self.discard, self.dismiss, self.progress, self.cancel)
+        hidden = (
+            self.reconnect,
+            self.control,
+            self.accept,
+            self.discard,
+            self.dismiss,
+            self.progress,
+            self.cancel,
+            self.explain,
+        )
         for widget in hidden:
             widget.hide()
         fill_strip(self, (self.text, 1), *hidden, self.show_log)
@@ -196,4 +207,5 @@ class MessageStrip(QFrame):
         if (sentence, colour) != self._shown:
             self._shown = (sentence, colour)
             self.text.setText(sentence)
+            self.explain.setVisible(colour is not theme.DIM and bool(entry_of(sentence)))
             colour_text(self.text, colour)

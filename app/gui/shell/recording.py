@@ -148,7 +148,7 @@ class RecordingBar(QFrame):
     def _make_description(self) -> None:
         self._name_problem = ""
         self.name = TextField(tool_tip=_NAME_TIP, hint="name")
-        self.note = TextField(tool_tip="Kept in run.json and shown in the report", hint="note")
+        self.note = TextField(tool_tip="Saved in run.json and shown in the report", hint="note")
         for field in (self.name, self.note):
             field.setMinimumWidth(90)
             field.entered.connect(lambda _: self._describe())
@@ -163,7 +163,7 @@ class RecordingBar(QFrame):
 
     def _make_uses(self) -> None:
         self.open = Button("Open folder", "Show the files", lambda: self._use(self._show))
-        about = "Play it in another window; the devices go on here"
+        about = "Play the recording in another window; the devices keep running here"
         self.replay = Button("Replay", about, lambda: self._use(self.play))
         about = "Write report.pdf into the folder and open it"
         self.report = Button("Report", about, lambda: self._use(self._report))

@@ -137,7 +137,7 @@ class ReplayBar(QFrame):
         self.faults.setMenu(listing_menu(self, self._faults))
         self._reading = FileWork(self, warn)
         self._overview: Overview | None = None
-        self.speed = Choice("Speed beside that of the recording; a slow computer skips frames", _SPEEDS.items())
+        self.speed = Choice("Speed relative to the recording; a slow computer skips frames", _SPEEDS.items())
         self.speed.setCurrentIndex(list(_SPEEDS.values()).index(1.0))
         self.speed.activated.connect(lambda _: self._set_speed())
         steps = self.back, self.play, self.forth

@@ -15,7 +15,7 @@ from app.gui.widgets.texts import colour_text, label
 from app.measurement.measurement import Measurement
 
 _RATE = "Frames acquired per second"
-_LOST = "Frames that the camera overwrote before they were read; red while they become more"
+_LOST = "Frames that the camera overwrote before they were read; red while the count increases"
 _DELAY = "Processing delay: from the end of the exposure to the result, median over the last second"
 _WINDOW_S = 1.0  # over which rate and delay are taken
 _GAP_PX = 14  # between two parts

@@ -215,7 +215,7 @@ def test_unjudged_misfit_and_a_repeated_reference_are_told(
     for warp, is_told in (("affine", False), ("translation", True)):
         command = reconstruct_foreign(tmp_path / f"{warp}.nc", "--set", f"registration.warp={warp}")
         assert run(monkeypatch, *command) == 0
-        assert ("note: misfit is not judged: " in capsys.readouterr().out) == is_told
+        assert ("note: misfit is not checked: " in capsys.readouterr().out) == is_told
     command = reconstruct_foreign(tmp_path / "again.nc")
     assert run(monkeypatch, command[0], FRAMES / "square_reference.tif", *command[2:]) == 0
     assert "doubtful: the frame is the reference itself" in capsys.readouterr().out

@@ -12,10 +12,11 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
-from support.paths import ROOT
+from support.paths import DOCS, ROOT
 from support.window_tools import MakeWindow, press
 
-from app.gui.shell.help import TextDialog, documentation
+from app.documentation import documentation
+from app.gui.shell.help import TextDialog
 from app.gui.shell.main_window import MainWindow
 
 
@@ -77,7 +78,7 @@ def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> N
     window = make_window()
     choose(window, "Documentation…")
     dialog = opened(window, "documentation")
-    assert dialog.view.toPlainText().startswith("The window")
+    assert dialog.view.toPlainText().startswith("svwfs")
     assert not dialog.back.isEnabled()
     bar = dialog.view.horizontalScrollBar()
     assert bar is not None
@@ -87,7 +88,44 @@ def test_documentation_opens_and_its_links_lead_on(make_window: MakeWindow) -> N
     dialog.view.setSource(QUrl("first_measurement.md"))  # as a click on the link
     assert "measurement" in dialog.view.toPlainText().splitlines()[0]
     dialog.back.click()
-    assert dialog.view.toPlainText().startswith("The window")
+    assert dialog.view.toPlainText().startswith("svwfs")
+
+
+def test_question_mark_opens_the_entry_of_the_shown_message(make_window: MakeWindow) -> None:
+    window = make_window()
+    strip = window.messages
+    strip.alarm("the camera protects its EM register from too much light and sends black frames")
+    strip.show_state(failure="", warning="", advice="")
+    assert strip.explain.isVisible()
+    strip.explain.click()
+    dialog = opened(window, "documentation")
+    assert dialog.view.textCursor().selectedText() == "EM register protected"
+    assert dialog.view.cursorRect().top() < dialog.view.height() / 4
+    strip.alarm("nothing of the kind")
+    strip.show_state(failure="", warning="", advice="")
+    assert not strip.explain.isVisible()
+
+
+def test_every_page_can_be_reached_and_no_link_leaves_the_documentation() -> None:
+    linked, found = [DOCS / "index.md"], set[Path]()
+    while linked:
+        page = linked.pop()
+        found.add(page)
+        for link in re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
+            target = (page.parent / link).resolve()
+            assert target.is_file(), f"{page.name}: {link}"
+            assert target.is_relative_to(DOCS), f"{page.name}: {link}"
+            if target.suffix == ".md" and target not in found:
+                linked.append(target)
+    assert found == set(DOCS.rglob("*.md"))
+
+
+def test_window_page_has_every_key(make_window: MakeWindow) -> None:
+    window = make_window()
+    text = (DOCS / "window.md").read_text("utf-8").partition("## Keys")[2]
+    listed = set(re.findall(r"(?<![\w+])(?:Ctrl\+|Shift\+)*(?:F\d+|Esc|Space|[A-Z0-9]|,|\.)(?![\w])", text))
+    keys = {key for entries in window._menus().values() for _, key, _ in filter(None, entries) if key}
+    assert not keys - listed
 
 
 def test_missing_documentation_is_reported(make_window: MakeWindow, monkeypatch: pytest.MonkeyPatch) -> None:

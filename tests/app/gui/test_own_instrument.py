@@ -176,7 +176,7 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
     assert live_window(monkeypatch, small_toml, act) == 0
     assert started[0].poll() is None
     log = file_of(NAME, "log")
-    goes_on = f"the instrument goes on as process {started[0].pid}; its messages go to {log}\n"
+    goes_on = f"the instrument keeps running as process {started[0].pid}; its messages go to {log}\n"
     assert goes_on in capsys.readouterr().out
 
     def attach(window: MainWindow) -> None:

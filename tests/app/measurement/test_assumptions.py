@@ -68,7 +68,7 @@ def test_hidden_displacements_are_counted(
     assert blind.hidden > 0
     shown = f"the mask shows {count - blind.hidden} of {count} deformations of a {warp} warp; the others"
     for sample, others in (
-        (FREE, "are known only by the prior"),
+        (FREE, "follow only from the smoothness assumption (large error bars)"),
         (AssumedSample((-0.5,)), "follow from the layer"),
         (None, "follow from what is assumed of the sample"),
     ):

@@ -165,7 +165,7 @@ def test_process_that_dies_is_reported_and_frames_go_on(
     until(solver, layered, paper_bench.reference, "failed")
     _, (sample, state, _) = solver.solve(layered.register(paper_bench.reference), 0.0)
     assert sample is not None  # nobody waits for one
-    assert state.problem == "the process that finds layers and corrections has ended: take the reference again"
+    assert state.problem == "the process that finds layers and corrections has ended: take the reference again (R)"
     solver.close()
     wait_until(lambda: not any(thread.name == "live-estimator" for thread in threading.enumerate()))
     assert capsys.readouterr().err == f"svwfs: {state.problem}\n"

@@ -146,7 +146,7 @@ def test_point_wider_than_the_image_is_refused() -> None:
 
 
 def test_read_noise_needs_the_gain() -> None:
-    with pytest.raises(ValueError, match="read_noise_counts needs counts_per_electron beside it"):
+    with pytest.raises(ValueError, match="read_noise_counts needs counts_per_electron, too"):
         Imaging(pixel_m=PIXEL_M, read_noise_counts=2.0)
 
 
