@@ -153,7 +153,7 @@ def test_few_saturated_pixels_in_every_cell_are_named(small_bench: SmallBench, t
 
 def test_too_many_modes_are_refused(small_bench: SmallBench) -> None:
     for count in (64, 300):  # 63 lenslets
-        with pytest.raises(ReconstructionError, match=f"cannot tell {count} pupil modes apart"):
+        with pytest.raises(ReconstructionError, match=f"cannot determine {count} pupil modes"):
             small_bench.reconstructor(pupil_modes=count)
 
 
@@ -236,7 +236,7 @@ def test_frame_with_too_few_matching_lenslets_is_at_fault(small_bench: SmallBenc
     for column in range(2, 7):
         cell = _cell(small_bench, 3, column)
         frame[cell] = tilted[cell]
-    reason = "5 valid lenslets cannot tell 10 pupil modes apart: .*; 58 subimages look different"
+    reason = "5 valid lenslets cannot determine 10 pupil modes: .*; 58 subimages look different"
     with pytest.raises(ReconstructionError, match=reason) as fault:
         small_bench.reconstructor(pupil_modes=10)(frame)
     assert fault.value.image == "frame"
@@ -245,5 +245,5 @@ def test_frame_with_too_few_matching_lenslets_is_at_fault(small_bench: SmallBenc
 def test_field_that_fills_the_cells_is_refused(small_bench: SmallBench) -> None:
     """Its image is 2 x 0.95 mm x 46.7 / 200 = 27.7 px wide; 31.25 px less a blur of 2.7 px are 28.6 px."""
     small_bench.reconstructor(field=replace(FIELD, half_width_m=0.95e-3))
-    with pytest.raises(ReconstructionError, match=r"29\.2 px wide, leaves no room .*: lower field\.half_width_m"):
+    with pytest.raises(ReconstructionError, match=r"29\.2 px wide, leaves no space .*: lower field\.half_width_m"):
         small_bench.reconstructor(field=replace(FIELD, half_width_m=1e-3))

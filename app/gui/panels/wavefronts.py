@@ -259,7 +259,7 @@ class WavefrontPanel(Panel):
     def _store(self) -> None:
         if self._newest is not None:
             now = f"{datetime.now().astimezone():%H:%M:%S}"
-            name = f"wavefront of {now if self.shown.replayed is None else self.shown.replayed[0]}"
+            name = f"that of {now if self.shown.replayed is None else self.shown.replayed[0]}"
             self.menu.change(stored=self._display.store(self._newest, name))
 
     def _fit_pupil(self) -> None:

@@ -156,7 +156,7 @@ def test_closing_asks_whether_the_instrument_goes_on(
     qtbot.waitUntil(lambda: not window.isVisible())
     qtbot.waitUntil(lambda: server.acquisition.is_alive is goes_on)
     if goes_on:
-        assert window.controller.left == "the instrument goes on"
+        assert window.controller.left == "the instrument keeps running"
 
 
 def test_window_of_a_stopped_instrument_closes_soon(window: MainWindow, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -169,9 +169,9 @@ def test_instrument_of_a_window_goes_on_if_its_user_says_so(
         asked = choose_button(monkeypatch, "Keep running", defaults)
         window.quit()
         assert defaults == ["Cancel"]  # no key ends a recording by mistake
-        assert "recording run 1 goes on" in asked[0]
+        assert "recording run 1 continues" in asked[0]
         qtbot.waitUntil(lambda: not window.isVisible())
-        assert window.controller.left == "the instrument goes on"
+        assert window.controller.left == "the instrument keeps running"
 
     assert live_window(monkeypatch, small_toml, act) == 0
     assert started[0].poll() is None
@@ -275,10 +275,10 @@ def test_instrument_of_a_window_goes_on_for_the_client_that_has_control(
         notebook[0].take_control().result(HANG_S)
         qtbot.waitUntil(lambda: "this program only watches: notebook" in said_in(window))
         window.benches.open(str(other_toml))
-        qtbot.waitUntil(lambda: f"process {started[0].pid} goes on: its devices are in use" in said_in(window))
+        qtbot.waitUntil(lambda: f"process {started[0].pid} keeps running: its devices are in use" in said_in(window))
         window.benches.open(str(other_toml))  # again
         qtbot.waitUntil(lambda: not window.benches._reading.is_busy)
-        assert window.controller.left == "the instrument goes on"
+        assert window.controller.left == "the instrument keeps running"
 
     notebook: list[Connection] = []
     assert live_window(monkeypatch, small_toml, act) == 0

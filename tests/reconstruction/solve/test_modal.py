@@ -293,7 +293,7 @@ def test_unknown_noise_is_a_systematic_misfit() -> None:
 
 def test_rotation_is_refused_where_it_is_not_seen() -> None:
     covariance = np.zeros((ROWS, COLUMNS, FIELD_MODES, 2, FIELD_MODES, 2))
-    with pytest.raises(ReconstructionError, match="56 valid lenslets cannot tell 15 pupil modes apart"):
+    with pytest.raises(ReconstructionError, match="56 valid lenslets cannot determine 15 pupil modes"):
         ModalSolver(MODES, MeanGradients(SENSOR, GRADIENTS), GRADIENTS, covariance)
 
 
@@ -302,10 +302,10 @@ def test_too_few_lenslets_are_refused_only_without_prior() -> None:
     few[0, :3] = True
     covariance = np.broadcast_to(np.eye(2).reshape(1, 2, 1, 2) * 1e-4, (ROWS, COLUMNS, 1, 2, 1, 2))
     displacement = measured(np.ones((ROWS, COLUMNS, 1, 2)), covariance, few)
-    with pytest.raises(ReconstructionError, match="3 valid lenslets cannot tell 15 pupil modes apart"):
+    with pytest.raises(ReconstructionError, match="3 valid lenslets cannot determine 15 pupil modes"):
         solver_of(covariance, parameters=np.eye(2))(displacement)
     none = measured(np.ones((ROWS, COLUMNS, 1, 2)), covariance, np.zeros_like(ALL))
-    with pytest.raises(ReconstructionError, match="0 valid lenslets cannot tell 15 pupil modes apart"):
+    with pytest.raises(ReconstructionError, match="0 valid lenslets cannot determine 15 pupil modes"):
         solver_of(covariance, parameters=np.eye(2))(none)
     bridged = solver_of(covariance, is_smooth=True, parameters=np.eye(2))(displacement).wavefront(np.ones(1))
     assert np.isfinite(bridged[few]).all()
