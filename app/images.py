@@ -1,13 +1,15 @@
 """Image files: grey frames of any camera program in, TIFF out."""
 
+import gzip
 import logging
 import math
 import os
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tifffile
@@ -15,15 +17,20 @@ from numpy.typing import NDArray
 
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
+from app.image_containers import MOST_PIXELS, is_container, number_in, plane_of, read_array, require_few_pixels
 from reconstruction.arrays import Floats, reading_npy
 
-IMAGE_FORMATS = "TIFF, NPY, FITS, PNG, BMP or PGM"
-SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".fits", ".fit", ".fts", ".png", ".bmp", ".pgm"})
+IMAGE_FORMATS = "TIFF, FITS, HDF5, MAT, NPY, NPZ, PNG, BMP or PGM"
+SUFFIXES = frozenset(
+    {".tif", ".tiff", ".npy", ".npz", ".h5", ".hdf5", ".mat", ".fits", ".fit", ".fts", ".gz", ".png", ".bmp", ".pgm"}
+)
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
-_MOST_PIXELS = 2**28  # a small file can claim to hold more than the memory
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
-_TEXT = b"P2"
+_TEXT, _GZIP = b"P2", b"\x1f\x8b"
+_MOST_BYTES = 8 * MOST_PIXELS  # of a file that is unpacked
+_OF_NUMBERS = b"0123456789+-.,;eE \t\r\n"
+_INDEX = re.compile(r"\[(-?\d{1,9})\]$")
 _TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # of either order of bytes; the last two of BigTIFF
 _FITS_BLOCK_BYTES, _FITS_CARD_BYTES = 2880, 80
 _FITS_SIZE = "BITPIX, NAXIS, BSCALE or BZERO"
@@ -31,23 +38,54 @@ _FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
 _FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "64": ">i8", "-32": ">f4", "-64": ">f8"}  # of BITPIX
 
 
+class ImagePlace(NamedTuple):
+    """A file, the name of an array in it, and the number of an image in a stack: file.h5:/path/to/data[3]."""
+
+    file: Path
+    name: str = ""
+    number: int | None = None
+
+
+def place_of(path: Path) -> ImagePlace:
+    """Return the file that a path names, with array and number; a file whose name has such parts is itself meant."""
+    if path.exists():
+        return ImagePlace(path)
+    text = str(path)
+    index = _INDEX.search(text)
+    number = None if index is None else int(index[1])
+    rest = text if index is None else text[: index.start()]
+    if Path(rest).exists():
+        return ImagePlace(Path(rest), number=number)
+    file, _, name = rest.rpartition(":")
+    return ImagePlace(Path(file), name, number) if file and Path(file).is_file() else ImagePlace(Path(rest), "", number)
+
+
+def name_of(path: Path) -> str:
+    """Return the name of an image without its folders."""
+    return str(path)[len(str(place_of(path).file.parent / "x")) - 1 :]
+
+
 def read_image(path: Path) -> NDArray[Any]:
     """Read a grey image (row, column) from a file; `InputError` if it holds none.
 
-    The first bytes tell the format. Three equal channels are one grey image.
+    The first bytes tell the format. Three equal channels are one grey image. See `ImagePlace` for files of several.
     """
-    check_readable(path)
+    place = place_of(path)
+    check_readable(place.file)
     try:
-        image = _read(path)
+        image = _read(place)
     except Exception as error:
         raise InputError(f"{path}: cannot be read as {IMAGE_FORMATS}: {in_words(error)}") from error
+    if np.ndim(image) > 2:
+        image = np.reshape(image, [length for length in np.shape(image) if length > 1])
     if np.ndim(image) == 3 and image.shape[2] in {3, 4}:
         if not np.array_equal(image[..., :2], image[..., 1:3], equal_nan=image.dtype.kind == "f"):
             raise InputError(f"{path}: is a colour image; save one of its channels as a grey image")
         image = image[..., 0]
     if not isinstance(image, np.ndarray) or image.ndim != 2 or 0 in image.shape:
         shape = " x ".join(str(length) for length in np.shape(image)) or "nothing"
-        raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns)")
+        choose = f"; of several choose one, as {path}[0]" if np.ndim(image) == 3 else ""
+        raise InputError(f"{path}: holds {shape}; one grey image is needed (rows x columns){choose}")
     if image.dtype.kind not in "uif":
         raise InputError(f"{path}: holds {image.dtype} values; a grey image is needed")
     if image.dtype == np.float16:  # its sums overflow
@@ -58,42 +96,70 @@ def read_image(path: Path) -> NDArray[Any]:
     return image
 
 
-def _read(path: Path) -> NDArray[Any]:
+def _read(place: ImagePlace) -> NDArray[Any]:
+    path, name, index = place
     with path.open("rb") as file:
-        start = file.read(len(_FITS))
+        start = file.read(10)
     if not start:
         raise ValueError("it is empty")
-    if start.startswith(_TEXT):
-        raise ValueError("it holds its numbers as text; save it as a binary PGM (P5)")
-    if start.startswith(np.lib.format.MAGIC_PREFIX):
-        with reading_npy():
-            # Fails if the file is shorter than its header says.
-            mapped = np.load(path, mmap_mode="r", allow_pickle=False)
-            _require_few_pixels(mapped.shape)
-            return np.array(mapped)
-    if start == _FITS:
-        return _read_fits(path)
-    if start.startswith(_PICTURES):
-        return _read_picture(path)
-    if start.startswith(_JPEG):
-        raise ValueError("JPEG changes the light of every pixel; save the frame in another format")
+    if is_container(start, path):
+        return read_array(start, path, name, index)
+    if name:
+        raise ValueError(f"only HDF5, MAT and NPZ hold arrays with names: leave :{name} out")
     if start.startswith(_TIFF):
-        return _read_tiff(path)
-    raise ValueError("it is another kind of file")
+        return _read_tiff(path, index)
+    if start.startswith((_FITS, _GZIP)):
+        stored = _unpacked(path) if start.startswith(_GZIP) else np.memmap(path, np.uint8, "r")
+        return _read_fits(path, stored, index)
+    if start.startswith(np.lib.format.MAGIC_PREFIX):
+        return _read_npy(path, index)
+    if start.startswith(_PICTURES):
+        return plane_of(_read_picture(path), index) if index is not None else _read_picture(path)
+    raise ValueError(_refusal(start))
 
 
-def _require_few_pixels(shape: tuple[int, ...]) -> None:
-    if math.prod(shape) > _MOST_PIXELS:
-        raise ValueError(f"{' x '.join(map(str, shape))} pixels are too many")
+def _refusal(start: bytes) -> str:
+    """Return why a file with these first bytes is not read, and what to do."""
+    if start.startswith(_TEXT):
+        return "it holds its numbers as text; save it as a binary PGM (P5)"
+    if start.startswith(_JPEG):
+        return "JPEG changes the light of every pixel; save the frame in another format"
+    if not start.strip(_OF_NUMBERS):
+        return "it holds its numbers as text; save the frame as TIFF or NPY"
+    return "it is another kind of file; save the frame as TIFF with the bits of the camera"
 
 
-def _read_tiff(path: Path) -> NDArray[Any]:
-    """Read the only image of a file, besides previews, turned as its tag says."""
+def _read_npy(path: Path, index: int | None) -> NDArray[Any]:
+    with reading_npy():
+        mapped = np.load(path, mmap_mode="r", allow_pickle=False)  # fails if the file is shorter than its header says
+        plane = mapped if index is None else plane_of(mapped, index)
+        require_few_pixels(plane.shape)
+        return np.array(plane)
+
+
+def _unpacked(path: Path) -> NDArray[np.uint8]:
+    """Unpack a FITS file in memory."""
+    with gzip.open(path) as file:
+        contents = file.read(_MOST_BYTES + 1)
+    if not contents.startswith(_FITS):
+        raise ValueError("it is packed, and no FITS file; unpack it")
+    if len(contents) > _MOST_BYTES:
+        raise ValueError(f"it unpacks to more than {_MOST_BYTES} bytes; unpack it and choose one image")
+    return np.frombuffer(contents, np.uint8)
+
+
+def _read_tiff(path: Path, index: int | None) -> NDArray[Any]:
+    """Read the only image of a file, or the one with an index, besides previews, turned as its tag says."""
     logging.getLogger("tifffile").setLevel(logging.CRITICAL)  # a damaged file raises below
     with tifffile.TiffFile(path, is_ome=False) as file:  # OME's text may claim any number of planes
-        images = [series for series in file.series if not series.keyframe.is_reduced]
-        (series,) = _only(images)
-        _require_few_pixels(series.shape)
+        pages: Any = () if index is None else file.pages
+        images = [page for page in pages if not page.keyframe.is_reduced]
+        if len(images) < 2:  # a stack may be a single page
+            images = [series for series in file.series if not series.keyframe.is_reduced]
+        if index is not None and len(images) > 1:
+            images, index = [images[number_in(images, index)]], None
+        (series,) = _only(images, path)
+        require_few_pixels(series.shape)
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
         tag, compression = series.keyframe.tags.get(_ORIENTATION), series.keyframe.compression
@@ -106,6 +172,7 @@ def _read_tiff(path: Path) -> NDArray[Any]:
             raise refusal from error
         if series.axes == "SYX":  # its channels are stored one after the other
             image = np.moveaxis(image, 0, -1)
+        image = image if index is None else plane_of(image, index)
         return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))
 
 
@@ -146,9 +213,9 @@ def _silenced() -> Iterator[None]:
         os.close(kept)
 
 
-def _read_fits(path: Path) -> NDArray[Any]:
-    """Read the only image of a file, its first row first (FITS 4.0, sections 3 - 5)."""
-    stored, at, images = np.memmap(path, np.uint8, "r"), 0, []
+def _read_fits(path: Path, stored: NDArray[np.uint8], index: int | None) -> NDArray[Any]:
+    """Read the only image of a file, or the one with an index, its first row first (FITS 4.0, sections 3 - 5)."""
+    at, images = 0, []
     while at < len(stored) and (at == 0 or stored[at : at + 8].tobytes() == b"XTENSION"):
         header, at = _fits_header(stored, at)
         if header.get("ZIMAGE") == "T":
@@ -168,8 +235,14 @@ def _read_fits(path: Path) -> NDArray[Any]:
         if pixels and header.get("XTENSION", "IMAGE") == "IMAGE":
             images.append((header.get("BLANK"), scale, zero, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
         at += -(-length // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
-    ((blank, scale, zero, values),) = _only(images)
-    values = np.reshape(values, [length for length in values.shape if length > 1]) if values.ndim > 2 else values
+    if index is not None and len(images) > 1:
+        images, index = [images[number_in(images, index)]], None
+    ((blank, scale, zero, values),) = _only(images, path)
+    return _fits_values(blank, scale, zero, values if index is None else plane_of(values, index))
+
+
+def _fits_values(blank: str | None, scale: float, zero: float, values: NDArray[Any]) -> NDArray[Any]:
+    """Scale stored values as the header says; undefined ones become NaN."""
     if blank is not None and values.dtype.kind != "f" and (undefined := values == int(blank)).any():
         return np.where(undefined, np.nan, np.asarray(values * scale + zero, np.float64))
     if (scale, zero) == (1.0, 0.0):
@@ -191,9 +264,10 @@ def _fits_header(stored: NDArray[np.uint8], at: int) -> tuple[dict[str, str], in
     raise ValueError("its header has no end")
 
 
-def _only(images: list[Any]) -> list[Any]:
+def _only(images: list[Any], path: Path) -> list[Any]:
     if len(images) != 1:
-        raise ValueError(f"it holds {len(images)} images; save one frame")
+        choose = f"; choose one, as {path.name}[0]" if images else ""
+        raise ValueError(f"it holds {len(images)} images{choose}")
     return images
 
 

@@ -80,7 +80,7 @@ def calibrate(
         raise InputError("--average belongs to --linearity")
     from app.results.figures import lattice_figure
 
-    reads = (reference, dark, *options.files_of_bench(bench, loaded))
+    reads = (*options.files_of_images(reference, dark), *options.files_of_bench(bench, loaded))
     options.check_files(out, reads=reads, suffixes=(".toml",), plot=plot, overwrite=overwrite)
     with terminal.progress_bar() as progress:
         calibrated = calibrate_bench(reference, dark=dark, bench=loaded, progress=progress)

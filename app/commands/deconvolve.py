@@ -13,7 +13,7 @@ import typer
 from app.bench.bench_files import BenchError, read_bench_text
 from app.commands import options, terminal
 from app.errors import InputError
-from app.files import check_readable, in_words
+from app.files import in_words
 from app.images import IMAGE_FORMATS, read_image
 from app.progress import between, counted
 from app.results.deconvolution import METHOD, MOST_ITERATIONS, correct, write_corrected
@@ -63,8 +63,7 @@ def deconvolve(
     """
     settings = setting or []
     bench = _bench(source, imaging, scale, settings)
-    check_readable(image)
-    reads = (image, imaging, *bench.files)
+    reads = (*options.files_of_images(image), imaging, *bench.files)
     options.check_files(out, reads=reads, sources=[source], suffixes=(".tif", ".tiff"), overwrite=overwrite)
     with terminal.analysing(source, out) as progress:
         pixels = read_image(image)
