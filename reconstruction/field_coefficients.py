@@ -35,12 +35,41 @@ class ModalFit:
 
     @classmethod
     def of(cls, wavefront: Wavefront) -> Self:
-        """Take the fit of a wavefront; `ReconstructionError` if its reconstruction is zonal."""
+        """Take the fit of a modal wavefront; fit Zernike modes to a zonal one at the lenslet centres."""
         solution, displacement = wavefront.solution, wavefront.displacement
         if not isinstance(solution, ModalSolution):
-            raise ReconstructionError("it has no coefficients: reconstruct with reconstruction.method=modal")
+            by_mode = solution.wavefront(np.eye(displacement.modes.count))
+            return cls.fitted(wavefront.sensor, displacement.modes, by_mode)
         rad, root = solution.coefficients, np.asarray(solution.root_covariance, np.float64)
         return cls(wavefront.sensor, solution.modes, displacement.modes, rad, root, solution.known)
+
+    @classmethod
+    def fitted(cls, sensor: Sensor, field_modes: FieldModes, by_mode: Floats) -> Self:
+        """Fit Zernike modes to the wavefront of each field mode, rad, (field_mode, lenslet_row, lenslet_column).
+
+        It is NaN where unknown. The errors of the coefficients are unknown.
+        """
+        known = np.asarray(np.isfinite(by_mode).all(axis=0))
+        modes, fit = fit_at_lenslets(sensor, "zernike", known)
+        rad = fit @ np.nan_to_num(by_mode.reshape(len(by_mode), -1)).T
+        rad[0] = 0.0
+        return cls(sensor, modes, field_modes, rad, np.full((*rad[1:].shape, 1), np.nan), known)
+
+
+_MOST_MODES = 36  # of a fit at the lenslet centres: all up to degree 7
+
+
+def fit_at_lenslets(sensor: Sensor, basis: PupilBasis, known: Booleans) -> tuple[PupilModes, Floats]:
+    """Fit modes to wavefronts at the known lenslets (lenslet_row, lenslet_column) in the pupil.
+
+    Returns modes and the matrix (pupil_mode, lenslet) from wavefronts to coefficients; zero for lenslets without use.
+    """
+    least = min(sensor.lenslet_rows, sensor.lenslet_columns)
+    modes = pupil_modes(sensor, basis, min(_MOST_MODES, number_up_to(least - 1)))
+    used = (known & modes.inside).ravel()
+    fit = np.full((len(modes.values), used.size), 0.0 if used.any() else np.nan)
+    fit[:, used] = np.linalg.pinv(modes.values.reshape(len(fit), -1)[:, used].T)
+    return modes, fit
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,9 +102,10 @@ class FieldCoefficients:
     def double_zernikes(self, field_order: int | None = None) -> tuple[Floats, Floats]:
         """Double Zernike coefficients and their standard deviations.
 
-        The circles are those inscribed in field and pupil. GalSim's convention: wavefront = sum_kj d[k, j] Z_k(field)
-        Z_j(pupil), k and j as Noll counts, from 1; the row k = 0 and the column j = 0 are unused, and zero. Both are
-        (k, j), rad. The highest radial order over the field is by default that of the field modes, which is exact.
+        The circles are that inscribed in the field and that of the pupil, which may be an annulus. GalSim's convention:
+        wavefront = sum_kj d[k, j] Z_k(field) Z_j(pupil), k and j as Noll counts, from 1; the row k = 0 and the column
+        j = 0 are unused, and zero. Both are (k, j), rad. The highest radial order over the field is by default that of
+        the field modes, which is exact.
         `ReconstructionError` if the coefficients are not those of Zernike modes, or the field modes have no such order.
         """
         if self.basis != "zernike":
@@ -99,48 +129,46 @@ class FieldCoefficients:
         return rad, sigma
 
 
-def fit_coefficients(fit: ModalFit, basis: PupilBasis, order: int | None = None) -> FieldCoefficients:
+def fit_coefficients(fit: ModalFit, basis: PupilBasis, degree: int | None = None) -> FieldCoefficients:
     """Express a modal fit in Zernike or Legendre modes.
 
-    Zernike modes have unit RMS over the pupil's inscribed circle, in Noll's order; Legendre modes, over the lattice,
-    are those of `modes.legendre`. The
-    highest degree, `order`, is by default that of the fit, which is exact. `ReconstructionError` if there is no such
-    basis, the fit has no such degree, or no lenslet in the pupil is known.
+    Zernike modes have unit RMS over the circle or annulus of the pupil, in Noll's order; Legendre modes, over the
+    lattice, are those of `modes.legendre`. The highest `degree` is by default that of the fit, which is exact.
+    `ReconstructionError` if there is no such basis, the fit has no such degree, or no lenslet in the pupil is known.
     """
     highest = int(fit.modes.degree.max())
-    order = highest if order is None else order
-    if not 1 <= order <= highest:
+    degree = highest if degree is None else degree
+    if not 1 <= degree <= highest:
         raise ReconstructionError(
-            f"order {order} of the pupil modes must be 1 ... {highest}, that of the {len(fit.rad)} fitted modes"
+            f"degree {degree} of the pupil modes must be 1 ... {highest}, that of the {len(fit.rad)} fitted modes"
         )
-    sensor = fit.sensor
-    onto_modes = pupil_modes(sensor, basis, number_up_to(fit.modes.products.shape[1] - 1))
-    known_share = float(np.mean(fit.known[onto_modes.inside]))
+    inside = pupil_modes(fit.sensor, basis, 1).inside
+    known_share = float(np.mean(fit.known[inside])) if inside.any() else 0.0
     if not known_share:
-        raise ReconstructionError(
-            f"no lenslet is known inside the {'' if onto_modes.inside.all() else 'circular '}pupil, which is"
-            f" {2e3 * min(sensor.pupil_half_width_m):.3g} mm wide"
-        )
-    onto = _pupil_projection(fit.modes, onto_modes, sensor, basis)[: number_up_to(order)]
+        raise ReconstructionError(f"no lenslet is known inside the {fit.sensor.circle.in_words}")
+    onto = _pupil_projection(fit.modes, fit.sensor, basis)[: number_up_to(degree)]
     onto[0] = 0.0  # a wavefront has no piston
     root = np.tensordot(onto[:, 1:], fit.root_covariance, axes=1)
     return FieldCoefficients(basis, onto @ fit.rad, root @ np.swapaxes(root, 1, 2), fit.field_modes, known_share)
 
 
-def _pupil_projection(modes: PupilModes, onto: PupilModes, sensor: Sensor, basis: PupilBasis) -> Floats:
+def _pupil_projection(modes: PupilModes, sensor: Sensor, basis: PupilBasis) -> Floats:
     """Coefficients of the pupil modes in those of a basis, (mode, pupil_mode); exact."""
+    highest = modes.products.shape[1] - 1
     if basis != "zernike":
+        onto = pupil_modes(sensor, basis, number_up_to(highest))
         flat, fitted = (each.products.reshape(len(each.degree), -1).T for each in (onto, modes))
         return np.asarray(np.linalg.lstsq(flat, fitted)[0])
     # Products of Legendre polynomials grow by 10,000 in the corners around the circle, which costs these digits.
-    highest = modes.products.shape[1] - 1
-    scale_x, scale_y = min(sensor.pupil_half_width_m) / np.array(sensor.pupil_half_width_m)
+    circle, (half_x_m, half_y_m) = sensor.circle, sensor.pupil_half_width_m
+    radius_m = circle.radius_m or 0.0
 
     def values(x: Floats, y: Floats) -> Floats:
-        along_x, along_y = (series.legvander(at, highest) for at in (x * scale_x, y * scale_y))
+        at_m = (x * radius_m + circle.center_x_m) / half_x_m, (y * radius_m + circle.center_y_m) / half_y_m
+        along_x, along_y = (series.legvander(at, highest) for at in at_m)
         return np.asarray(np.einsum("pnm,...n,...m->p...", modes.products, along_y, along_x, optimize=True))
 
-    return zernike_projection(values, highest, number_up_to(highest))
+    return zernike_projection(values, highest, number_up_to(highest), circle.obscuration)
 
 
 def _field_projection(modes: FieldModes, order: int) -> Floats:

@@ -7,8 +7,8 @@ camera. Every vector has (x, y) as its last axis; every image is [row, column] w
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeAlias
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 import numpy as np
 from annotated_types import Ge, Le
@@ -17,6 +17,7 @@ from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Booleans, Floats
+from reconstruction.pupil import Pupil
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
 """Of the lenslets: in a hexagonal one, rows lie sqrt(3)/2 pitches apart and odd rows half a pitch to the right."""
@@ -48,6 +49,7 @@ class Sensor(Checked):
     wavelength_m: Annotated[float, Ge(100e-9), Le(20e-6), Doc("Wavelength of the light in vacuum")]
     pixel_pitch_m: Annotated[float, Ge(1e-7), Le(1e-3), Doc("Distance of two camera pixels; binned pixels are larger")]
     arrangement: Arrangement = "square"  # bench files have it in [lattice]
+    pupil: Pupil = Pupil()  # bench files have it in [pupil]
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
@@ -96,6 +98,23 @@ class Sensor(Checked):
     def lenslet_centers_m(self) -> Floats:
         """Pupil positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
         return lenslet_centers(self.arrangement, self.lenslet_rows, self.lenslet_columns) * self.lenslet_pitch_m
+
+    @property
+    def is_in_pupil(self) -> Booleans:
+        """True for lenslets whose centres lie in the pupil, (lenslet_row, lenslet_column)."""
+        return self.pupil.contains(self.lenslet_centers_m)
+
+    @property
+    def circle(self) -> Pupil:
+        """Circle or annulus of the Zernike modes: the pupil's, or that inscribed in a square or in the lattice."""
+        if self.pupil.radius_m is None:
+            return Pupil(shape="circle", radius_m=min(self.pupil_half_width_m))
+        return replace(self.pupil, shape="circle") if self.pupil.shape == "square" else self.pupil
+
+    def with_pupil(self, lit: Booleans) -> Self:
+        """Fit the pupil, if it is to be fitted, to the lit lenslets (lenslet_row, lenslet_column)."""
+        cell_m2 = self.lenslet_pitch_m * self.row_spacing_m
+        return replace(self, pupil=self.pupil.found(self.lenslet_centers_m, lit, cell_m2))
 
     @property
     def pupil_x_m(self) -> Floats:

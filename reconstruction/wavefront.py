@@ -160,12 +160,12 @@ def without_zernikes(phase: Floats, numbers: Iterable[int], sensor: Sensor) -> F
     """Subtract piston and Zernike modes by Noll's numbers, ignoring NaN.
 
     From wavefronts (..., lenslet_row, lenslet_column), rad. All modes up to the last one are fitted together to all
-    known lenslets. Their circle is inscribed in the lattice.
+    known lenslets. They are those of the pupil's circle or annulus.
     """
     if not (removed := [number - 1 for number in numbers]):
         return without_piston(phase)
-    x, y = np.moveaxis(sensor.lenslet_centers_m / min(sensor.pupil_half_width_m), -1, 0)
-    return _without_terms(phase, zernike(max(removed) + 1, x, y), removed)
+    x, y = np.moveaxis(sensor.circle.normalised(sensor.lenslet_centers_m), -1, 0)
+    return _without_terms(phase, zernike(max(removed) + 1, x, y, sensor.circle.obscuration), removed)
 
 
 def _without_terms(phase: Floats, terms: Floats, removed: list[int]) -> Floats:

@@ -28,6 +28,7 @@ from reconstruction.annotated_settings import Checked, SettingError, check
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.frame.linearity import Linearity
 from reconstruction.geometry import Field, Lattice, Sensor, nominal_lattice
+from reconstruction.pupil import Pupil
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from simulated_devices.settings import SimulatedCameraSettings, SimulatedLightSettings, Simulation
 
@@ -40,6 +41,7 @@ Settings = TypeVar("Settings", bound="DataclassInstance")
 _SAME_WAVELENGTH = 0.01  # relative; see evidence/accuracy.md
 AUTOMATIC = "automatic"  # same as omitting the setting
 CHOSEN_IF_OMITTED = (("registration", "warp"), ("reconstruction", "pupil_modes"))
+_IN_SENSOR = {"arrangement": "lattice.arrangement", "pupil": "pupil"}  # settings of the sensor, by their place in files
 _OWN_NAMES = {"registration": ("method",), "reconstruction": ("basis",)}  # Python may give that of an own method
 
 
@@ -187,7 +189,7 @@ def _read(tree: Mapping[str, Any]) -> Bench:
     """Read all sections; `SettingError` with the path of the wrong key."""
     for name in tree:
         if name not in _SECTIONS:
-            raise SettingError(name, unknown_key(name, _SECTIONS))
+            raise SettingError(name, unknown_key(name, [*_SECTIONS, "pupil"]))
     for field in dataclasses.fields(Bench):
         if field.default is dataclasses.MISSING and field.name not in tree:
             raise SettingError(field.name, "is missing")
@@ -229,9 +231,9 @@ def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
     try:
         bench = _read(tree)
     except SettingError as error:
-        path = error.path.replace("sensor.arrangement", "lattice.arrangement")
+        path = error.path.replace("sensor.arrangement", "lattice.arrangement").replace("sensor.pupil", "pupil")
         line = None if overrides else line_of_setting(text, path)  # an override may be at fault
-        why = error.why.replace(", arrangement", "") if path.startswith("sensor.") else error.why
+        why = error.why.replace(", arrangement, pupil", "") if path.startswith("sensor.") else error.why
         fault = SettingError(path, why, error.limit)
         chosen = f', or "{AUTOMATIC}"' if tuple(path.split(".")) in CHOSEN_IF_OMITTED else ""
         raise BenchError(f"{name}: {fault}{chosen}", line, fault) from error
@@ -278,6 +280,7 @@ def bench_schema() -> Schema:
         for name, cls in _SECTIONS.items()
     }
     del sections["sensor"]["properties"]["arrangement"]  # which stands in [lattice]
+    sections["pupil"] = sections["sensor"]["properties"].pop("pupil")
     needed = [field.name for field in dataclasses.fields(Bench) if field.default is dataclasses.MISSING]
     return {"type": "object", "properties": sections, "required": needed, "additionalProperties": False}
 
@@ -292,15 +295,19 @@ def write_bench(bench: Bench) -> str:
     tree = dataclasses.asdict(bench)
     if (arrangement := tree["sensor"].pop("arrangement")) != "square":
         tree["lattice"] = (tree["lattice"] or {}) | {"arrangement": arrangement}
+    if (pupil := tree["sensor"].pop("pupil")) != dataclasses.asdict(Pupil()):
+        tree["pupil"] = pupil
     return tomli_w.dumps(_without_none(tree))
 
 
 def _arrange(tree: dict[str, Any], name: str) -> None:
-    """Copy `lattice.arrangement` to the sensor, which has it even if the lattice is unknown."""
+    """Give the sensor the pupil, and `lattice.arrangement`, which it has even if the lattice is unknown."""
     sensor, lattice = (tree.get(section) for section in ("sensor", "lattice"))
-    if isinstance(sensor, dict) and "arrangement" in sensor:
-        fault = SettingError("sensor.arrangement", "is an unknown key; it is lattice.arrangement")
+    for key in _IN_SENSOR.keys() & sensor if isinstance(sensor, dict) else ():
+        fault = SettingError(f"sensor.{key}", f"is an unknown key; it is {_IN_SENSOR[key]}")
         raise BenchError(f"{name}: {fault}", None, fault)
+    if isinstance(sensor, dict) and "pupil" in tree:
+        sensor["pupil"] = tree.pop("pupil")
     if isinstance(sensor, dict) and isinstance(lattice, dict) and "arrangement" in lattice:
         sensor["arrangement"] = lattice["arrangement"]
         if len(lattice) == 1:

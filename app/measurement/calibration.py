@@ -7,7 +7,7 @@ all that its frames refer to.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -22,6 +22,7 @@ from reconstruction.frame.noise import KnownNoise, TransferCurve, image_transfer
 from reconstruction.frame.pixels import KnownCamera
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey, survey
+from reconstruction.quality.reference_quality import lit_lenslets
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.reconstructor import NO_OWN, OwnMethods, Reconstructor
 
@@ -42,6 +43,7 @@ class Calibration:
     def of(cls, bench: Bench, reference: Average, *, dark: Average | None, full_scale: float) -> Calibration:
         """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
         lattice = bench.lattice or surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale).lattice
+        bench = _with_pupil(bench, reference, dark, lattice)
         return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale)
 
     @classmethod
@@ -57,7 +59,7 @@ class Calibration:
         """Take a reference and a dark, (row, column), whose noise is unknown, and a `lattice` if it is known."""
         lit, unlit = Average.of_image(reference), None if dark is None else Average.of_image(dark)
         lattice = lattice or bench.lattice or surveyed(bench.sensor, lit, dark=unlit, full_scale=full_scale).lattice
-        known = KnownNoise()
+        bench, known = _with_pupil(bench, lit, unlit, lattice), KnownNoise()
         return cls(bench=bench, dark=unlit, reference=lit, lattice=lattice, full_scale=full_scale, known=known)
 
     @property
@@ -131,6 +133,13 @@ def _reconstructor(calibration: Calibration) -> Reconstructor:
 def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_scale: float) -> Survey:
     """Find the lenslets in a reference; `ReconstructionError` if it shows none."""
     return survey(reference.mean, sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
+
+
+def _with_pupil(bench: Bench, reference: Average, dark: Average | None, lattice: Lattice) -> Bench:
+    """Return the bench with the pupil of the lenslets that are lit in the reference, unless it is configured."""
+    light, background = reference.mean, _dark_like(reference.mean, dark)
+    lit = lit_lenslets(light - (light.min() if background is None else background), lattice, bench.sensor)
+    return replace(bench, sensor=bench.sensor.with_pupil(lit))
 
 
 @kept_while_alive(maxsize=4)  # each image is judged with them

@@ -183,7 +183,7 @@ class OfflineReconstructor:
         self._calibration = replace(given, own=own)
         self._is_scale_given = full_scale is not None
         self._estimator: Estimator | None = None
-        self.bench = replace(named, lattice=given.lattice)
+        self.bench = replace(given.bench, lattice=given.lattice)
 
     def prepare(self, frame: Counts) -> None:
         """Prepare everything with the noise that a frame (row, column), counts, shows."""

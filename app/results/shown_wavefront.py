@@ -10,12 +10,12 @@ from typing import Self
 import numpy as np
 
 from app.errors import InputError
-from app.results.pupil import Pupil
 from app.results.sources import mean_of_frames, modes_of, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.polynomials import zernike_names
+from reconstruction.pupil import Pupil
 from reconstruction.wavefront import Wavefront, without_piston, without_zernikes
 
 MOST_AVERAGED = 100
@@ -95,7 +95,7 @@ class DisplayOptions:
     removed: frozenset[int] = frozenset()  # Zernike modes, by Noll's numbers
     stored: StoredWavefront | None = None  # subtracted
     averaged: int = 1  # number of frames
-    pupil: Pupil | None = None  # outside which nothing is shown; None: all lenslets
+    pupil: Pupil | None = None  # in place of that of the bench
     views: int | None = None  # along each side of a square grid; None: those of the bench
 
     @property
@@ -132,10 +132,11 @@ class WavefrontDisplay:
         if options.stored is not None:
             shown = replace(shown, views=without_piston(shown.views - options.stored.at(field)))
         if options.pupil is not None:
-            inside = np.where(options.pupil.contains(wavefront.sensor), shown.views, np.nan)
-            shown = replace(shown, views=without_piston(inside))
+            sensor = replace(wavefront.sensor, pupil=options.pupil)
+            inside = np.where(sensor.is_in_pupil, shown.views, np.nan)
+            shown = replace(shown, sensor=sensor, views=without_piston(inside))
         if options.removed:
-            shown = replace(shown, views=without_zernikes(shown.views, options.removed, wavefront.sensor))
+            shown = replace(shown, views=without_zernikes(shown.views, options.removed, shown.sensor))
         return shown
 
     def store(self, wavefront: Wavefront, name: str) -> StoredWavefront:

@@ -3,19 +3,20 @@
 Legendre: L_k(x, y) = P_m(x) P_n(y) with k = (m + n)(m + n + 1)/2 + n (Feng et al.): k = 0 is the piston, 1 = x, 2 = y,
 3 = P_2(x), 4 = xy, 5 = P_2(y). P_m is the ordinary Legendre polynomial with P_m(1) = 1.
 
-Zernike, in Noll's order, counted from 0, with unit RMS over the unit circle: Z = N Q(x^2 + y^2) H(x, y), with H the
-real or imaginary part of (x + iy)^m and r^m Q(r^2) the radial polynomial R_n^m: polynomials in x and y, without an
-angle and without a singular centre (R. J. Noll, J. Opt. Soc. Am. 66, 207, 1976).
+Zernike, in Noll's order, counted from 0, with unit RMS over the unit circle: Z = Q(x^2 + y^2) H(x, y), with H the real
+or imaginary part of (x + iy)^m: polynomials in x and y, without an angle and without a singular centre (R. J. Noll, J.
+Opt. Soc. Am. 66, 207, 1976). Over an annulus, whose inner radius is the obscuration, they are the annular polynomials
+of V. N. Mahajan (J. Opt. Soc. Am. 71, 75, 1981): r^m Q(r^2), orthonormal for each m.
 """
 
 import itertools
 import math
 from collections.abc import Callable
 from functools import cache
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
-from numpy.polynomial import Polynomial
+from numpy.polynomial import Legendre
 from numpy.polynomial import legendre as series
 from numpy.typing import ArrayLike
 
@@ -105,6 +106,19 @@ _NAMES = {
     (3, 3): "trefoil along x",
     (3, -3): "trefoil along y",
     (4, 0): "spherical aberration",
+    (4, 2): "secondary astigmatism at 0\N{DEGREE SIGN}",
+    (4, -2): "secondary astigmatism at 45\N{DEGREE SIGN}",
+    (4, 4): "tetrafoil at 0\N{DEGREE SIGN}",
+    (4, -4): "tetrafoil at 22.5\N{DEGREE SIGN}",
+}
+
+ZernikeOrder: TypeAlias = Literal["noll", "osa", "fringe"]
+"""Numbering of Zernike modes: Noll's, from 1; OSA and ANSI Z80.28, from 0; fringe (Wyant and Creath), from 1."""
+
+ORDERS: dict[ZernikeOrder, str] = {  # name and normalisation
+    "noll": "Noll's order, unit RMS",
+    "osa": "OSA/ANSI order, unit RMS",
+    "fringe": "fringe order, unit amplitude",
 }
 
 
@@ -120,15 +134,32 @@ def noll_orders(count: int) -> tuple[tuple[int, int], ...]:
     return tuple(orders[:count])
 
 
-def zernike_names(count: int) -> tuple[str, ...]:
-    """Number as Noll counts, from 1, and name of the first `count` modes, such as "Z4 defocus"."""
-    return tuple(f"Z{j} {_NAMES.get((n, m), f'n = {n}, m = {m}')}" for j, (n, m) in enumerate(noll_orders(count), 1))
+def zernike_numbers(count: int, order: ZernikeOrder) -> list[int]:
+    """Numbers in an order of the first `count` modes in Noll's order."""
+    orders = noll_orders(count)
+    if order == "osa":
+        return [(n * (n + 2) + m) // 2 for n, m in orders]
+    if order == "fringe":
+        return [(1 + (n + abs(m)) // 2) ** 2 - 2 * abs(m) + (m < 0) for n, m in orders]
+    return list(range(1, count + 1))
 
 
-def zernike(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
+def zernike_amplitudes(count: int) -> Floats:
+    """Value at the edge of the circle of the first `count` modes of unit RMS, (count,); fringe modes have 1."""
+    return np.sqrt([(n + 1) * (1 if m == 0 else 2) for n, m in noll_orders(count)])
+
+
+def zernike_names(count: int, order: ZernikeOrder = "noll") -> tuple[str, ...]:
+    """Number in an order and name of the first `count` modes in Noll's order, such as "Z4 defocus"."""
+    numbers = zip(zernike_numbers(count, order), noll_orders(count), strict=True)
+    return tuple(f"Z{number} {_NAMES.get((n, m), f'n = {n}, m = {m}')}" for number, (n, m) in numbers)
+
+
+def zernike(count: int, x: ArrayLike, y: ArrayLike, obscuration: float = 0.0) -> Floats:
     """First `count` modes at (x, y), in units of the circle's radius: (count, *broadcast shape)."""
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
-    return np.stack([radial(x**2 + y**2) * part((x + 1j * y) ** m) for radial, m, part in _factors(count)])
+    factors = _factors(count, obscuration)
+    return np.stack([radial(x**2 + y**2) * part((x + 1j * y) ** m) for radial, m, part in factors])
 
 
 def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
@@ -136,7 +167,7 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     x, y = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
     square, position = x**2 + y**2, x + 1j * y
     gradients = []
-    for radial, m, part in _factors(count):
+    for radial, m, part in _factors(count, 0.0):
         outwards = 2 * radial.deriv()(square) * part(position**m)
         value, slope = radial(square), m * position ** max(m - 1, 0)  # the latter that of position**m
         along = [x * outwards + value * part(slope), y * outwards + value * part(1j * slope)]
@@ -144,38 +175,59 @@ def zernike_gradients(count: int, x: ArrayLike, y: ArrayLike) -> Floats:
     return np.stack(gradients)
 
 
-def zernike_products(count: int, half_x: float = 1.0, half_y: float = 1.0) -> Floats:
-    """First `count` modes at (half_x xi, half_y eta) as sums of P_m(xi) P_n(eta): (count, n, m)."""
+def zernike_products(
+    count: int,
+    half_x: float = 1.0,
+    half_y: float = 1.0,
+    *,
+    center: tuple[float, float] = (0.0, 0.0),
+    obscuration: float = 0.0,
+) -> Floats:
+    """First `count` modes at (half_x xi, half_y eta) - center as sums of P_m(xi) P_n(eta): (count, n, m)."""
     degree = max(n for n, _ in noll_orders(count))
     nodes, parts = legendre_projection(degree, degree)
-    values = zernike(count, nodes * half_x, nodes[:, None] * half_y)  # (count, y, x)
+    x, y = nodes * half_x - center[0], nodes * half_y - center[1]
+    values = zernike(count, x, y[:, None], obscuration)  # (count, y, x)
     return np.asarray(np.einsum("kyx,yn,xm->knm", values, parts, parts))
 
 
-def zernike_projection(polynomials: Callable[[Floats, Floats], Floats], degree: int, count: int) -> Floats:
-    """Coefficients of polynomials in the first `count` modes over the unit circle: (count, polynomial).
+def zernike_projection(
+    polynomials: Callable[[Floats, Floats], Floats], degree: int, count: int, obscuration: float = 0.0
+) -> Floats:
+    """Coefficients of polynomials in the first `count` modes over the circle or annulus: (count, polynomial).
 
     `polynomials` returns values (polynomial, *shape) at x and y (*shape), in units of the circle's radius. The
     quadrature is exact up to their highest `degree`.
     """
     highest = degree + noll_orders(count)[-1][0]
-    nodes, weights = np.polynomial.legendre.leggauss(highest // 4 + 1)  # in the squared radius
-    radius, angle = np.sqrt((1 + nodes[:, None]) / 2), 2 * math.pi * np.arange(highest + 1) / (highest + 1)
-    x, y = radius * np.cos(angle), radius * np.sin(angle)
-    weights = weights[:, None] / (2 * angle.size)
-    return np.asarray(np.tensordot(zernike(count, x, y) * weights, polynomials(x, y), axes=((1, 2), (1, 2))))
+    nodes, weights = series.leggauss(highest // 4 + 1)  # in the squared radius
+    radius, angle = np.sqrt(_square(nodes, obscuration)), 2 * math.pi * np.arange(highest + 1) / (highest + 1)
+    x, y = radius[:, None] * np.cos(angle), radius[:, None] * np.sin(angle)
+    values = zernike(count, x, y, obscuration) * weights[:, None] / (2 * angle.size)
+    return np.asarray(np.tensordot(values, polynomials(x, y), axes=((1, 2), (1, 2))))
 
 
-def _factors(count: int) -> list[tuple[Polynomial, int, Any]]:
-    """N Q of each mode as a polynomial in the squared radius; m, and the part of (x + iy)^m that is H."""
-    factors = []
+def _square(nodes: Floats, obscuration: float) -> Floats:
+    """Squared radii for -1 ... 1, from the edge of the obscuration to that of the circle."""
+    return np.asarray(1 - (1 - obscuration**2) * (1 - nodes) / 2)
+
+
+def _factors(count: int, obscuration: float) -> list[tuple[Legendre, int, Any]]:
+    """Q of each mode as a polynomial in the squared radius; m, and the part of (x + iy)^m that is H."""
+    factors, highest = [], noll_orders(count)[-1][0]
     for n, signed_m in noll_orders(count):
         m = abs(signed_m)
-        coefficients = np.zeros((n - m) // 2 + 1)
-        for k in range((n - m) // 2 + 1):
-            sign = -1 if k % 2 else 1
-            denominator = math.factorial(k) * math.factorial((n + m) // 2 - k) * math.factorial((n - m) // 2 - k)
-            coefficients[(n - m) // 2 - k] = sign * math.factorial(n - k) / denominator
-        norm = math.sqrt(n + 1) if m == 0 else math.sqrt(2 * (n + 1))
-        factors.append((Polynomial(norm * coefficients), m, np.real if signed_m >= 0 else np.imag))
+        radial = _radial(m, (highest - m) // 2, obscuration)[(n - m) // 2]
+        factors.append((radial, m, np.real if signed_m >= 0 else np.imag))
     return factors
+
+
+@cache
+def _radial(m: int, degree: int, obscuration: float) -> list[Legendre]:
+    """Q_0 ... Q_degree of one m: r^m Q_k(r^2) are orthonormal over the squared radius, and positive at the edge."""
+    nodes, weights = series.leggauss(degree + m // 2 + 1)
+    root = np.sqrt(weights / 2 * _square(nodes, obscuration) ** m)
+    triangle = np.linalg.qr(series.legvander(nodes, degree) * root[:, None], mode="r")
+    coefficients = np.linalg.inv(triangle).T  # (k, Legendre polynomial)
+    coefficients *= (1 if m == 0 else math.sqrt(2)) * np.sign(coefficients.sum(axis=1, keepdims=True))
+    return [Legendre(each, (obscuration**2, 1.0)) for each in coefficients]

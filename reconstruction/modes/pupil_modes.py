@@ -12,6 +12,7 @@ from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Arrangement, Sensor
 from reconstruction.modes.polynomials import (
+    ORDERS,
     legendre_names,
     legendre_products,
     legendre_projection,
@@ -44,6 +45,7 @@ class Basis:
     title: str
     modes: Callable[[Sensor, int], PupilModes]  # the first ones, by degree, d + 1 of each degree d
     names: Callable[[int], tuple[str, ...]]  # of the first ones
+    about: str  # order, normalisation and domain
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
@@ -60,17 +62,26 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
 
 
 def _zernike_modes(sensor: Sensor, count: int) -> PupilModes:
-    """Zernike modes over the circle inscribed in the lattice; a lenslet is inside if its centre is."""
-    half_m = np.array(sensor.pupil_half_width_m)
-    inside = np.hypot(*np.moveaxis(sensor.lenslet_centers_m, -1, 0)) <= half_m.min()
-    return polynomial_modes(sensor, zernike_products(count, *(half_m / half_m.min())), inside)
+    """Zernike modes over the circle or annulus of the pupil; a lenslet is inside if its centre is."""
+    circle = sensor.circle
+    half_x, half_y = circle.normalised(np.array(sensor.pupil_half_width_m))
+    center = circle.normalised(np.zeros(2))
+    products = zernike_products(
+        count, half_x - center[0], half_y - center[1], center=(-center[0], -center[1]), obscuration=circle.obscuration
+    )
+    return polynomial_modes(sensor, products, circle.contains(sensor.lenslet_centers_m))
 
 
 BASES: dict[PupilBasis, Basis] = {
     "legendre": Basis(
-        "Legendre", lambda sensor, count: polynomial_modes(sensor, legendre_products(count)), legendre_names
+        "Legendre",
+        lambda sensor, count: polynomial_modes(sensor, legendre_products(count)),
+        legendre_names,
+        "products of Legendre polynomials over the lattice, by degree, from 0",
     ),
-    "zernike": Basis("Zernike (Noll)", _zernike_modes, zernike_names),
+    "zernike": Basis(
+        "Zernike (Noll)", _zernike_modes, zernike_names, f"{ORDERS['noll']}, over the circle or annulus of the pupil"
+    ),
 }
 
 
@@ -97,12 +108,12 @@ def polynomial_modes(sensor: Sensor, products: Floats, inside: Booleans | None =
     Parameters
     ----------
     sensor : Sensor
-        Its lattice is the pupil.
+        Its pupil is that of the modes.
     products : (pupil_mode, n, m)
         The modes as sums of products P_n(eta) P_m(xi) of Legendre polynomials, xi (along x) and eta (along y) from -1
         to 1 over the whole lattice; the first is the piston.
     inside : bool (lenslet_row, lenslet_column), optional
-        Lenslets inside the pupil; all by default.
+        Lenslets over which the modes count; by default those inside the sensor's pupil.
 
     Raises
     ------
@@ -130,7 +141,7 @@ def polynomial_modes(sensor: Sensor, products: Floats, inside: Booleans | None =
     return PupilModes(
         values=values,
         gradients=gradients,
-        inside=np.ones(values.shape[1:], np.bool_) if inside is None else inside,
+        inside=sensor.is_in_pupil if inside is None else inside,
         degree=np.max((n + m) * is_part, axis=(1, 2)).astype(np.float64),
         products=products,
     )

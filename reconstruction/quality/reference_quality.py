@@ -9,13 +9,13 @@ import math
 
 import numpy as np
 
-from reconstruction.arrays import Counts, Floats, Image
+from reconstruction.arrays import Booleans, Counts, Floats, Image
 from reconstruction.frame.noise import TransferCurve
 from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, KnownCamera, clipped_fraction
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality
-from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages, typical
 
 _OFF_LATTICE = 0.05  # of a pitch; on the bench of evidence/accuracy.md it changes a wavefront of 4.2 rad by 0.2 rad
 _DARK = 0.25  # of the typical lenslet's contrast
@@ -127,9 +127,16 @@ def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Senso
     return int(np.count_nonzero(there > least) - np.count_nonzero(here > least))
 
 
-def _contrast(light: Floats, lattice: Lattice, sensor: Sensor) -> Floats:
+def lit_lenslets(light: Floats, lattice: Lattice, sensor: Sensor) -> Booleans:
+    """True for lenslets with an image in the light (row, column), counts, (lenslet_row, lenslet_column)."""
+    contrast = _contrast(light, lattice, sensor, samples=int(lattice.pitch_px))
+    lit = contrast > DARK_CONTRAST * typical(contrast)
+    return lit.reshape(sensor.lenslet_rows, sensor.lenslet_columns)
+
+
+def _contrast(light: Floats, lattice: Lattice, sensor: Sensor, samples: int = _SAMPLES) -> Floats:
     """Standard deviation of the light (row, column) over each cell of a lattice, counts, (L,); 0 beyond the frame."""
-    steps = centered_steps(_SAMPLES) / _SAMPLES
+    steps = centered_steps(samples) / samples
     centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns).reshape(-1, 1, 2)
     at = centers + np.stack(np.meshgrid(steps, steps * lattice.row_spacing), axis=-1).reshape(-1, 2)
     column, row = np.moveaxis(np.rint(lattice.to_camera_px(at * lattice.pitch_px)).astype(np.intp), -1, 0)

@@ -109,15 +109,17 @@ class ReferenceSubimages:
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
-        dark = ~(self.contrast > DARK_CONTRAST * _typical(self.contrast[~self.off_camera]))
+        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~self.off_camera]))
         if not self.usable.all():
             steepness = np.sum(self.gradient**2, axis=2)
             dark |= np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
         is_excluded = np.zeros(self.lenslets, np.bool_)
         for lenslet in excluded:
             is_excluded[lenslet] = True
-        self.excluded = is_excluded.ravel()
+        self.excluded = is_excluded.ravel() | (~sensor.is_in_pupil.ravel() & ~dark)
         self.lit = ~dark & ~self.off_camera & ~self.excluded
+        if not sensor.is_in_pupil.any():
+            raise UnusableSettings("no centre of a lenslet lies in the pupil: change [pupil]")
         if self.excluded.all():
             raise UnusableSettings("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
@@ -185,7 +187,7 @@ class ReferenceSubimages:
         return float(np.median(neighbours / (window**2).mean(axis=(1, 2))))
 
 
-def _typical(contrast: Floats) -> float:
+def typical(contrast: Floats) -> float:
     """Median contrast of the lit lenslets, which may be few."""
     bright = np.sort(contrast)[-min(_BRIGHT, contrast.size)]
     return float(np.median(contrast[contrast >= DARK_CONTRAST * bright]))

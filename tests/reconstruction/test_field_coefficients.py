@@ -192,7 +192,7 @@ def coefficients(field_modes: int) -> FieldCoefficients:
 
 def test_orders_that_the_data_do_not_hold_are_refused() -> None:
     fit = fitted(smooth_coefficients(3, "legendre"), LegendreModes(3))
-    assert "order 11 of the pupil modes must be 1 ... 10" in refused(lambda: fit_coefficients(fit, "zernike", 11))
+    assert "degree 11 of the pupil modes must be 1 ... 10" in refused(lambda: fit_coefficients(fit, "zernike", 11))
     unknown = refused(lambda: fit_coefficients(fit, "foo"))  # type: ignore[arg-type] # refused
     assert f"no basis foo: it must be {' or '.join(BASES)}" in unknown
     assert "field order 2 exceeds that of the 3 field modes, 1" in refused(lambda: coefficients(3).double_zernikes(2))
@@ -202,11 +202,18 @@ def test_orders_that_the_data_do_not_hold_are_refused() -> None:
     assert "made of Zernike modes" in refused(legendre.double_zernikes)
 
 
-def test_wavefront_without_modes_or_lenslets_is_refused() -> None:
-    assert "reconstruction.method=modal" in refused(lambda: ModalFit.of(bowl()))
+def test_zonal_wavefront_is_fitted_at_the_lenslet_centres() -> None:
+    """A bowl 1e6 (1 + x / 2) (u^2 + v^2) rad/m^2: its defocus over the circle is 1e6 R^2 / (2 sqrt(3))."""
+    found = fit_coefficients(ModalFit.of(bowl()), "zernike", 2)
+    defocus_rad = 1e6 * RADIUS_M**2 / (2 * np.sqrt(3))
+    np.testing.assert_allclose(found.at(np.array([0.0, 1.0]), 0.0)[3], [defocus_rad, 1.5 * defocus_rad], rtol=1e-6)
+    assert np.isnan(found.sigma(0.0, 0.0)).all()
+
+
+def test_wavefront_without_known_lenslets_is_refused() -> None:
     fit = fitted(smooth_coefficients(3, "legendre"), LegendreModes(3))
     fit.known[1:-1] = False
     corners = np.hypot(SENSOR.pupil_x_m, SENSOR.pupil_y_m[:, None]) > RADIUS_M
     fit.known[:] = corners
-    assert "no lenslet is known inside the circular pupil" in refused(lambda: fit_coefficients(fit, "zernike"))
+    assert "no lenslet is known inside the pupil" in refused(lambda: fit_coefficients(fit, "zernike"))
     assert fit_coefficients(fit, "legendre").known_share == pytest.approx(corners.mean())

@@ -21,11 +21,11 @@ from app.gui.widgets.texts import ElidedLabel, colour_text, label
 from app.measurement.measurement import Measurement
 from app.progress import counted
 from app.results.frame_statistics import FrameStatistics, frame_statistics
-from app.results.pupil import Pupil
 from drivers.interface import Frame
 from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.geometry import Lattice, Sensor
 from reconstruction.lattice.search import Survey
+from reconstruction.pupil import Pupil
 
 _CONTRAST_TIP = "Contrast: automatic (1 % to 99.8 % of the pixels), full range, or frozen"
 _FULL, _FROZEN = "Full range", "Frozen contrast"
@@ -287,9 +287,9 @@ class CameraPanel(Panel):
         ends_px = np.array([(middle.x(), middle.y()), (edge.x(), edge.y())])
         (x_m, y_m), end_m = lattice.from_camera_px(ends_px) * sensor.lenslet_pitch_m / lattice.pitch_px
         radius_m = max(math.dist((x_m, y_m), end_m), 1e-9)
-        pupil = Pupil(float(x_m), float(y_m), radius_m, 0.0 if before is None else before.obscuration)
+        pupil = Pupil.round((float(x_m), float(y_m)), radius_m, 0.0 if before is None else before.obscuration)
         self._drawn.draw(np.zeros((0, 2)) if is_finished else camera_image.pupil_edges(lattice, sensor, pupil))
-        if is_finished and pupil.contains(sensor).any():
+        if is_finished and pupil.contains(sensor.lenslet_centers_m).any():
             self.shown.pupil_drawn.emit(pupil)
         elif is_finished:
             self.warned.emit("no centre of a lenslet lies in the circle")

@@ -16,8 +16,8 @@ from app.gui.widgets.texts import ElidedLabel
 from app.gui.widgets.view_grid import ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.frame_statistics import FrameStatistics
-from app.results.pupil import Pupil
 from app.results.shown_wavefront import Unit
+from reconstruction.pupil import Pupil
 from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront
 
@@ -62,7 +62,7 @@ class DisplayState(QObject):
         self.wavefront: Wavefront | None = None  # of the measurement, with the display options applied to its views
         self.unit, self.wavelength_m = Unit.RAD, float("nan")
         self.options = ""  # of the display, in words
-        self.pupil: Pupil | None = None  # of the display
+        self.pupil: Pupil | None = None  # of the shown wavefront
         self.replayed: tuple[str, float] | None = None  # name and time, s, of the shown frame of a recording
         self.recording: Path | None = None  # folder of the recording that is replayed
         self.sigma_rad: float | None = None  # mean error of the shown wavefronts, RMS

@@ -27,7 +27,6 @@ from app.gui.widgets.texts import ElidedLabel, colour_text
 from app.gui.widgets.view_grid import Caption, Maps, ViewGrid
 from app.measurement.measurement import Measurement
 from app.results.dataset import write_shown
-from app.results.pupil import Pupil
 from app.results.shown_wavefront import (
     MOST_AVERAGED,
     MOST_VIEWS,
@@ -42,6 +41,7 @@ from app.results.view_maps import Quantity, QuantityMaps, ViewNumbers, quantity_
 from drivers.interface import Range
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
+from reconstruction.pupil import Pupil
 from reconstruction.quality.image_quality import aligned
 from reconstruction.wavefront import Wavefront
 
@@ -126,6 +126,7 @@ class WavefrontPanel(Panel):
             self._show_maps(None)
             return
         self.shown.wavefront, self.shown.wavelength_m = self._display(wavefront), wavefront.sensor.wavelength_m
+        self.shown.pupil = self.shown.wavefront.sensor.pupil
         if self.is_needed and self.quantity is Quantity.WAVEFRONT:
             self._show(QuantityMaps(self.shown.wavefront.views))
 
@@ -267,8 +268,8 @@ class WavefrontPanel(Panel):
         if self._newest is None:
             self.warned.emit("a pupil cannot be fitted: there is no wavefront")
         else:
-            valid = self._newest.displacement.valid
-            self.menu.change(pupil=Pupil.fitted(self._newest.sensor, valid))
+            sensor = replace(self._newest.sensor, pupil=Pupil(shape="fit"))
+            self.menu.change(pupil=sensor.with_pupil(self._newest.displacement.valid).pupil)
 
     def _choose_file(self) -> None:
         """Subtract the wavefront of a file of results as soon as it is read."""
@@ -281,7 +282,7 @@ class WavefrontPanel(Panel):
 
     def _apply_options(self) -> None:
         self._display.options, self.shown.unit = self.menu.options, self.menu.unit
-        self.shown.options, self.shown.pupil = self.menu.options.in_words, self.menu.options.pupil
+        self.shown.options = self.menu.options.in_words
         self._redraw()
 
     def _redraw(self) -> None:
@@ -320,7 +321,9 @@ class WavefrontPanel(Panel):
                 return f"Lenslet row {row}, column {column}: {text}"
 
             measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            maps = Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm")
+            size_m = sensor.lenslet_columns * sensor.lenslet_pitch_m, sensor.lenslet_rows * sensor.row_spacing_m
+            edges = (sensor.pupil.edges_m / size_m + 0.5).tolist()
+            maps = Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm", outline=edges)
             numbers = self._numbers
             if numbers is not None and numbers.sigma_rad is not None and numbers.sigma_rad.shape == values.shape:
                 unsure = numbers.sigma_rad > _UNSURE * numbers.first[..., None, None]

@@ -19,9 +19,9 @@ from app.gui.widgets import theme
 from app.gui.widgets.plot import Canvas
 from app.gui.widgets.presentation import count_colours
 from app.results.pictures import Pixels
-from app.results.pupil import Pupil
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
+from reconstruction.pupil import Pupil
 from reconstruction.runtime.opencv import cv2
 
 _AROUND = [0, 1, 1, 2, 2, 3, 3, 0]  # corners at the ends of four borders

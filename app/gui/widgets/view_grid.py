@@ -2,14 +2,14 @@
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from PyQt6.QtCore import QEvent, QPoint, QRect, QRectF, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QPoint, QPointF, QRect, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QBrush, QColor, QHelpEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen, QRegion
 from PyQt6.QtWidgets import QToolTip, QWidget
 
@@ -44,6 +44,7 @@ class Maps:
     reach_unit: str = ""
     unsure: NDArray[np.bool_] | None = None  # values with large errors
     sigma: Floats | None = None  # standard deviations of the values
+    outline: Iterable[tuple[float, float]] = ()  # lines on the map: pairs of ends (x, y), shares of its size
 
     def only(self, row: int, column: int) -> Self:
         """Return the map of one view."""
@@ -301,6 +302,10 @@ class ViewGrid(QWidget):
             painter.drawImage(QRectF(places.tile(*view)), image, QRectF(0, index * height, width, height))
             if maps.unsure is not None:
                 self._paint_unsure(painter, places.tile(*view), maps.unsure[view])
+            corner = places.tile(*view).topLeft().toPointF()
+            if lines := [corner + QPointF(x * width / ratio, y * height / ratio) for x, y in maps.outline]:
+                painter.setPen(QPen(theme.GREEN_ON_IMAGE, 1))
+                painter.drawLines(*lines)
         painter.setClipping(False)
 
     def _paint_unsure(self, painter: QPainter, tile: QRect, unsure: NDArray[np.bool_]) -> None:

@@ -25,13 +25,13 @@ from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.enlarged_view import EnlargedView
 from app.gui.widgets.presentation import number, signed
 from app.results.dataset import result_dataset
-from app.results.pupil import Pupil
 from app.results.result_file import write_results
 from app.results.shown_wavefront import StoredWavefront
 from app.results.view_maps import Quantity
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
 from reconstruction.layers.layered_wavefront import FREE
+from reconstruction.pupil import Pupil
 from reconstruction.wavefront import Wavefront
 
 
@@ -89,19 +89,24 @@ def test_menu_changes_what_is_shown(window: MainWindow, qtbot: QtBot) -> None:
 def test_fitted_pupil_limits_all_numbers_and_is_drawn_on_the_camera(window: MainWindow, qtbot: QtBot) -> None:
     panel, menu, camera = window.panels.wavefronts, window.panels.wavefronts.menu, window.panels.camera
     camera.show_bench(SENSOR, LATTICE, 65535)
-    round_one, inside = bowl(), Pupil(0.0, 0.0, 4.2 * SENSOR.lenslet_pitch_m).contains(SENSOR)
+    round_one, inside = bowl(), Pupil.round((0.0, 0.0), 4.2 * SENSOR.lenslet_pitch_m).contains(SENSOR.lenslet_centers_m)
     outcome = np.where(inside, round_one.displacement.outcome, LensletStatus.DARK)
     round_one = replace(round_one, displacement=replace(round_one.displacement, outcome=outcome))
     panel.show_wavefront(round_one)
     choose(qtbot, menu, "Fit a pupil to the valid lenslets")
     pupil = menu.options.pupil
     assert pupil is not None
+    assert pupil.radius_m is not None
     assert pupil.radius_m == pytest.approx(4.2 * SENSOR.lenslet_pitch_m, rel=0.05)
     assert window.shown.wavefront is not None
     seen = np.isfinite(window.shown.wavefront.views)
-    np.testing.assert_array_equal(seen, np.broadcast_to(pupil.contains(SENSOR), seen.shape))
+    np.testing.assert_array_equal(seen, np.broadcast_to(pupil.contains(SENSOR.lenslet_centers_m), seen.shape))
     assert panel._summary.text().endswith(pupil.in_words)
     camera.show_numbers()
+    assert panel.grid.maps is not None
+    x, y = np.transpose(list(panel.grid.maps.outline)) - 0.5  # shares of the map
+    widths = SENSOR.lenslet_columns * SENSOR.lenslet_pitch_m, SENSOR.lenslet_rows * SENSOR.lenslet_pitch_m
+    np.testing.assert_allclose(np.hypot(x * widths[0], y * widths[1]).max(), pupil.radius_m)
     distance_px = np.hypot(*(camera._pupil.ends - (LATTICE.center_x_px, LATTICE.center_y_px)).T)
     np.testing.assert_allclose(distance_px.max(), pupil.radius_m / SENSOR.lenslet_pitch_m * LATTICE.pitch_px)
     choose(qtbot, menu, "Show all lenslets")
