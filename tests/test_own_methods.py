@@ -53,7 +53,7 @@ def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: Simu
     assert own.coefficients is not None
     assert usual.coefficients is not None
     assert np.abs(own.coefficients - usual.coefficients).max() > 0.1
-    of_own, of_usual = (svwfs.field_coefficients(each, order=3)["coefficient"] for each in (own, usual))
+    of_own, of_usual = (svwfs.field_coefficients(each, degree=3)["coefficient"] for each in (own, usual))
     np.testing.assert_allclose(of_own, of_usual, atol=1e-3 * float(abs(of_usual).max()))
 
 

@@ -95,7 +95,7 @@ def test_arguments_that_do_not_fit_are_refused(
     reconstruct = svwfs.reconstructor(bench, images.reference)
     other = replace(bench, sensor=replace(bench.sensor, wavelength_m=5e-7))
     wrong: dict[str, Callable[[], object]] = {
-        "order must be a whole number": lambda: svwfs.field_coefficients(wavefront, order=2.5),  # type: ignore[arg-type] # refused
+        "degree must be a whole number": lambda: svwfs.field_coefficients(wavefront, degree=2.5),  # type: ignore[arg-type] # refused
         "a wavefront is needed": lambda: svwfs.find_layers(wavefront, reconstruct),  # type: ignore[arg-type] # refused
         "cannot have the name 5": lambda: svwfs.connect(5),  # type: ignore[arg-type] # refused
         "another sensor or field": lambda: svwfs.save_result(tmp_path / "out.nc", wavefront, other),

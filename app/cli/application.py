@@ -19,7 +19,7 @@ import app.commands
 # docstring is what the list of all commands says.
 _NAMES = (
     *("live", "measure", "serve", "recover", "replay", "batch"),
-    *("export", "report", "layers", "corrector", "field", "deconvolve"),
+    *("export", "report", "compare", "layers", "corrector", "field", "deconvolve"),
     *("calibrate", "simulate", "mask", "devices", "light-off", "schema", "docs", "desktop"),
     *("selftest", "paper", "benchmark", "reconstruct"),
 )

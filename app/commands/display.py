@@ -12,6 +12,7 @@ _LOCAL_X = re.compile(r"(?:unix)?:(\d+)(?:\.\d+)?")
 
 def use_display() -> bool:
     """Return whether windows can be seen; if not, make Qt, which is not loaded yet, draw offscreen."""
+    os.environ["PYQTGRAPH_QT_LIB"] = "PyQt6"  # another one may be chosen for other programs
     has_display = _has_display()
     if not has_display:
         os.environ[_PLATFORM] = "offscreen"

@@ -1,4 +1,4 @@
-"""`svwfs export`: a recording in the formats of other programs."""
+"""`svwfs export`: a recording or results in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -13,29 +13,31 @@ from app.results.export import EXPORT_FORMATS, Format, export_recording
 
 
 def export(
-    recording: options.RecordingFolder,
+    source: options.RunOrResult,
     *,
     to: Annotated[
         Format, typer.Option(help="; ".join(f"{to}: {what}" for to, (what, _) in EXPORT_FORMATS.items()) + ".")
     ],
     out: Annotated[Path, typer.Option(help="File to write.")],
     frames: options.Frames = None,
+    order: options.Order = "noll",
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Convert a recording for other programs.
+    """Convert a recording, or a results file into csv, for other programs.
 
     tiff: one BigTIFF for ImageJ with times and settings. csv: one row per frame for pandas or a spreadsheet. netcdf:
     the results as written by svwfs measure. psf: one point-spread function per view, mean of the frames, sum 1, for
     deconvolution. double-zernike: NetCDF, one array of coefficients per frame. zernike-table: CSV, one row per frame
-    and view. See `svwfs docs recording`.
+    and view, in the --order of Noll, OSA/ANSI or fringe. See `svwfs docs recording`.
 
     Example: svwfs export run1 --to csv --out run1.csv
 
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
-    options.check_recording(recording)
-    options.check_files(out, sources=[recording], suffixes=EXPORT_FORMATS[to][1], overwrite=overwrite)
-    with terminal.analysing(recording, out) as progress:
-        count = export_recording(recording, to, out, frames, progress)
-    typer.echo(f"{out} holds {counted(count)} of {recording}")
-    terminal.print_missing_lines(recording)
+    if not (source.is_file() and to == "csv"):
+        options.check_recording(source)
+    options.check_files(out, sources=[source], suffixes=EXPORT_FORMATS[to][1], overwrite=overwrite)
+    with terminal.analysing(source, out) as progress:
+        count = export_recording(source, to, out, frames, progress, order=order)
+    typer.echo(f"{out} holds {counted(count)} of {source}")
+    terminal.print_missing_lines(source)

@@ -34,9 +34,10 @@ def field(
     basis: Annotated[
         PupilBasis, typer.Option(help="Modes of the pupil, see `svwfs docs field`; zernike gives double Zernikes, too.")
     ] = FIELD_BASIS,
-    order: Annotated[
+    degree: Annotated[
         int | None, typer.Option(min=1, help="Highest degree of the pupil modes; as in the result if omitted.")
     ] = None,
+    order: options.Order = "noll",
     field_order: Annotated[
         int | None, typer.Option(min=0, help="Highest order of double Zernikes over the field; all if omitted.")
     ] = None,
@@ -52,11 +53,11 @@ def field(
 
     This is a full-field display: how much defocus, astigmatism, coma ... there is at each field position. The same
     wavefront is written as double Zernike coefficients in GalSim's convention. Error bars from a results file
-    neglect correlations. See `svwfs docs field`.
+    neglect correlations; of zonal wavefronts they are unknown. See `svwfs docs field`.
 
     Example: svwfs field run1 --out field.nc --plot field.png
 
-    Example: svwfs field run1 --order 4 --positions 5 --out table.csv
+    Example: svwfs field run1 --degree 4 --positions 5 --out table.csv
 
     Example: svwfs field result.nc --mode 5 --mode 6 --out field.nc --plot astigmatism.png
     """
@@ -67,12 +68,14 @@ def field(
     with terminal.analysing(source, out) as progress:
         progress("reconstructing the frame", 0.0)
         bench, fit = read_fit(source, frame)
-        coefficients = fit_coefficients(fit, basis, order)
-        maps = field_dataset(coefficients, bench.sensor, bench.field, positions=positions, field_order=field_order)
-        first, last = (int(maps["mode"].values[at]) for at in (0, -1))
+        coefficients = fit_coefficients(fit, basis, degree)
+        maps = field_dataset(
+            coefficients, bench.sensor, bench.field, positions=positions, field_order=field_order, order=order
+        )
+        known = maps["mode"].values.tolist()
         for number in mode or ():
-            if not first <= number <= last:
-                raise InputError(f"--mode {number}: the {basis} modes of this result are {first} ... {last}")
+            if number not in known:
+                raise InputError(f"--mode {number}: the {basis} modes of this result are {known[0]} ... {known[-1]}")
         progress("writing", 0.9)
         if out.suffix.lower() == ".csv":
             write_csv(out, *table_of(maps))

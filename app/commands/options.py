@@ -6,7 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand, TyperOption
@@ -59,6 +59,13 @@ Frames = Annotated[
 RecordingFolder = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
 RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
+Remove = Annotated[
+    str | None, typer.Option(metavar="MODES", help="Modes removed from wavefront, RMS and PV, as tilt,defocus.")
+]
+Order = Annotated[
+    Literal["noll", "osa", "fringe"],  # `ZernikeOrder` would load NumPy
+    typer.Option(help="Order of Zernike modes: Noll, OSA/ANSI (unit RMS), or fringe (unit amplitude)."),
+]
 Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, starting at the bench's seed.")]
 
 MOST_ROUNDS = 100  # of refinement
@@ -109,10 +116,14 @@ def check_recording(folder: Path) -> None:
     read_run(folder)
 
 
-def check_images(*images: Path | None) -> None:
-    """Raise `InputError` if one of these files cannot be read."""
-    for image in filter(None, images):
-        check_readable(image)
+def files_of_images(*images: Path | None) -> list[Path]:
+    """Return the files of images, which may be parts of them; `InputError` if one cannot be read."""
+    from app.images import place_of
+
+    files = [place_of(image).file for image in images if image is not None]
+    for file in files:
+        check_readable(file)
+    return files
 
 
 def check_files(

@@ -10,13 +10,16 @@ import typer
 
 from app.commands import options, terminal
 from app.errors import InputError
-from app.images import IMAGE_FORMATS
+from app.files import require_suffix
+from app.images import IMAGE_FORMATS, name_of
 from app.progress import counted
 
 if TYPE_CHECKING:
+    import xarray as xr
     from numpy.typing import NDArray
 
     from app.bench.config import Bench
+    from app.measurement.offline_reconstructor import OfflineReconstructor
     from reconstruction.arrays import Floats
     from reconstruction.refinement import Round
     from reconstruction.wavefront import Wavefront
@@ -33,36 +36,42 @@ def reconstruct(
     refine: Annotated[
         int, typer.Option(min=0, max=options.MOST_ROUNDS, help="Maximum rounds of refinement with the forward model.")
     ] = 0,
+    order: options.Order = "noll",
+    remove: options.Remove = None,
+    table: Annotated[Path | None, typer.Option(help="CSV file of the Zernike coefficients of all views.")] = None,
     overwrite: options.Overwrite = False,
     setting: options.Set = None,
 ) -> None:
     """Reconstruct the wavefronts of one frame from image files.
 
+    The Zernike coefficients are those of the pupil's circle or annulus, [pupil] in the bench, or else of the circle
+    inscribed in the lattice. Of a file of many images, name one: film.tif[3], data.h5:/path/to/frames[3].
+
     Example: svwfs reconstruct frame.tif --reference reference.tif --dark dark.tif --bench bench.toml --out result.nc
+
+    Example: svwfs reconstruct f.fits --reference r.fits --bench b.toml --out r.nc --order fringe --remove tilt,defocus
     """
     from app.measurement.offline_reconstructor import OfflineReconstructor
+    from app.results import zernike_table
+    from app.results.coefficients import zernikes_of_views
     from app.results.dataset import result_dataset
     from app.results.figures import views_figure
     from app.results.result_file import write_results
     from app.results.run_summary import QualityTally
+    from app.results.shown_wavefront import DisplayOptions, WavefrontDisplay
     from reconstruction.errors import ReconstructionError
 
+    display = WavefrontDisplay()
+    display.options = DisplayOptions(removed=zernike_table.modes_named(remove))
     loaded = options.load(bench, setting)
-    options.check_images(frame, reference, dark)
-    reads = (frame, reference, dark, *options.files_of_bench(bench, loaded))
-    options.check_files(out, reads=reads, suffixes=(".nc",), plot=plot, overwrite=overwrite)
+    reads = (*options.files_of_images(frame, reference, dark), *options.files_of_bench(bench, loaded))
+    options.check_files(out, table, reads=reads, suffixes=(".nc",), plot=plot, overwrite=overwrite)
+    if table is not None:
+        require_suffix(table, ".csv")
     image, reference_image, dark_image = _read_images(frame, reference, dark, loaded.camera_model.bits)
-    changes_rad: list[float] = []
     try:
         reconstructor = OfflineReconstructor(loaded, reference_image, dark=dark_image)
-        with terminal.progress_bar() if refine else nullcontext(lambda *_: None) as progress:
-
-            def note_round(step: Round) -> None:
-                changes_rad.append(step.change_rad)
-                progress("refining", len(changes_rad) / refine)
-
-            progress("modelling the bench", 0.0)
-            wavefront = reconstructor.refined(image, refine, seen=note_round)
+        wavefront, changes_rad = _refined(reconstructor, image, refine)
         quality = reconstructor.quality(image, wavefront)
         is_live = loaded.reconstruction.refine and not refine
         live_note = "reconstruction.refine = true is for live frames: here give --refine N" * is_live
@@ -70,13 +79,19 @@ def reconstruct(
     except ReconstructionError as error:
         paths = {"frame": frame, "dark": dark}
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
-    names = {"frame": frame.name, "reference": reference.name, "dark": dark.name if dark else ""}
+    files = {"frame": frame, "reference": reference, "dark": dark}
+    names = {name: "" if path is None else name_of(path) for name, path in files.items()}
+    zernikes, wavefront = zernikes_of_views(wavefront, order), display(wavefront)
     dataset = result_dataset(wavefront, quality, with_psf=True).assign_attrs(refinement_rounds=len(changes_rad))
+    dataset = zernike_table.with_table(dataset, zernikes, wavefront.sensor).assign_attrs(removed=remove or "nothing")
     write_results(out, dataset, bench=reconstructor.bench, inputs=names)
+    if table is not None:
+        zernike_table.write_table(table, zernikes, wavefront.sensor)
     options.draw(plot, lambda: views_figure(wavefront))
     for note in filter(None, notes):
         terminal.remind(f"note: {note}")
     print_views(wavefront)
+    _print_zernikes(zernikes, wavefront, f", without {remove}" if remove else "")
     if refine:
         changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
         refined = f"refined in {counted(len(changes_rad), 'round')}, changing the wavefront by {changes} rad RMS"
@@ -84,6 +99,41 @@ def reconstruct(
     tally = QualityTally()
     tally.take(quality)
     terminal.print_quality(tally)
+
+
+def _refined(reconstructor: OfflineReconstructor, image: NDArray[Any], rounds: int) -> tuple[Wavefront, list[float]]:
+    """Return the wavefront after some rounds of refinement, and by how much each changed it."""
+    changes_rad: list[float] = []
+    with terminal.progress_bar() if rounds else nullcontext(lambda *_: None) as progress:
+
+        def note_round(step: Round) -> None:
+            changes_rad.append(step.change_rad)
+            progress("refining", len(changes_rad) / rounds)
+
+        progress("modelling the bench", 0.0)
+        return reconstructor.refined(image, rounds, seen=note_round), changes_rad
+
+
+def _print_zernikes(zernikes: xr.Dataset, wavefront: Wavefront, without: str) -> None:
+    """Print the Zernike coefficients of the middle view, its RMS and PV in all units, and the pupil."""
+    from app.results import zernike_table
+    from app.results.figures import place_of_view
+
+    field, sensor = wavefront.field, wavefront.sensor
+    view, circle = (field.view_rows // 2, field.view_columns // 2), sensor.circle
+    inside = circle.contains(sensor.lenslet_centers_m)
+    valid = wavefront.displacement.valid
+    place, kind = place_of_view(field, *view), "" if sensor.pupil.radius_m else "inscribed in the lattice, "
+    terminal.print_sentence(f"Zernike coefficients at {place}: {zernikes.attrs['order']}")
+    terminal.print_table(
+        None,
+        ("mode", "nm", "error", "waves"),
+        zernike_table.printed_rows(zernikes, view, sensor),
+        (
+            f"{kind}{circle.in_words}: {(valid & inside).sum()} of the {valid.sum()} valid lenslets lie in it",
+            f"at {place}{without}: {zernike_table.view_sentence(wavefront.views[view], sensor)}",
+        ),
+    )
 
 
 def _read_images(

@@ -1,4 +1,4 @@
-"""`svwfs report`: a recording on three pages, as PDF or PNG."""
+"""`svwfs report`: a recording on three pages, or results on two, as PDF or PNG."""
 
 from __future__ import annotations
 
@@ -8,50 +8,45 @@ from typing import Annotated
 import typer
 
 from app.commands import options, terminal
+from app.errors import InputError
 from app.files import require_suffix
 
 
 def report(
-    recording: options.RecordingFolder,
+    source: options.RunOrResult,
     *,
     out: Annotated[
         Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
     ],
-    beside: Annotated[
-        Path | None, typer.Option(metavar="RECORDING", help="Another recording of the same sample, to be subtracted.")
-    ] = None,
     setting: options.Set = None,
     frames: options.Frames = None,
     overwrite: options.Overwrite = False,
 ) -> None:
-    """Summarise a recording on three pages.
+    """Summarise a recording on three pages, or a results file on two.
 
     They show conditions, wavefronts, their uncertainty, lost frames and lenslets, and with the modal method the
     strongest Zernike coefficients over the field. At most 200 frames, evenly spread, are reconstructed again; --set
-    tries another method on them. --beside adds a page with the difference of the mean wavefronts to another recording,
-    view by view, as in the paper's comparison of the square with the stars.
+    tries another method on them. Of a results file, which has no frames, the report has two pages: the mean wavefront
+    and the coefficients. `svwfs compare` subtracts another recording.
 
     Example: svwfs report square --out square.pdf
 
-    Example: svwfs report square --beside stars --set registration.method=correlation --out compared.pdf
+    Example: svwfs report result.nc --out result.png
     """
-    options.check_recording(recording)
-    sources = [recording, *([] if beside is None else [beside])]
-    options.check_files(out, sources=sources, overwrite=overwrite)
+    if not source.is_file():
+        options.check_recording(source)
+    elif setting or frames:
+        raise InputError(f"{source}: has no frames to reconstruct again: leave --set and --frames out")
+    options.check_files(out, sources=[source], overwrite=overwrite)
     require_suffix(out, ".pdf", ".png")
-    from app.results.report_pages import write_report
+    from app.results.report_pages import write_report, write_result_report
 
-    settings = tuple(setting or ())
-    with terminal.analysing(recording, out) as progress:
-        summary, residual = write_report(
-            recording, out, frames=frames, settings=settings, beside=beside, progress=progress
-        )
-    if residual is not None:
-        title = f"RMS (rad) of {residual.name} minus {residual.other_name}, means of their frames"
-        cells = ((f"{value:.3f}" for value in row) for row in residual.rms_rad)
-        terminal.print_by_view(residual.field, title, cells)
-        typer.echo(residual.sentence)
-    typer.echo(f"the report of {summary.sampled_frames} is in {out}")
-    terminal.print_missing_lines(recording)
-    if beside is not None:
-        terminal.print_missing_lines(beside)
+    with terminal.analysing(source, out) as progress:
+        if source.is_file():
+            write_result_report(source, out)
+            what = str(source)
+        else:
+            settings = tuple(setting or ())
+            what = write_report(source, out, frames=frames, settings=settings, progress=progress).sampled_frames
+    terminal.print_sentence(f"the report of {what} is in {out}")
+    terminal.print_missing_lines(source)

@@ -4,6 +4,7 @@ import re
 from array import array
 from collections.abc import Iterable
 from contextlib import suppress
+from datetime import datetime, timedelta
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -153,6 +154,14 @@ class Recording:
             found = f"line {index + 1} is of frame {line.index} instead of {index}"
             raise DamagedFrame(f"{self.folder / FRAME_LINES}: {found}; {HINT}")
         return line
+
+    def clock_time(self, index: int) -> datetime | None:
+        """Time of day at which a frame arrived; None if the recording does not tell."""
+        try:
+            began, began_s = datetime.fromisoformat(self.run["began"]), float(self.run["began_host_s"])
+            return began + timedelta(seconds=self.line(index).host_time_s - began_s)
+        except (KeyError, TypeError, ValueError, OverflowError):
+            return None
 
     def pixels(self, index: int) -> NDArray[np.uint16]:
         """Pixels of a frame (row, column), counts, read-only; verified if its line can be read."""

@@ -14,9 +14,10 @@ from app.results.result_file import about
 from app.results.sources import measured
 from reconstruction.arrays import Floats
 from reconstruction.errors import ReconstructionError
-from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_coefficients
+from reconstruction.field_coefficients import FieldCoefficients, ModalFit, fit_at_lenslets, fit_coefficients
 from reconstruction.geometry import Field, Sensor
-from reconstruction.modes.pupil_modes import BASES, pupil_modes
+from reconstruction.modes.polynomials import ORDERS, ZernikeOrder, zernike_amplitudes, zernike_names, zernike_numbers
+from reconstruction.modes.pupil_modes import BASES
 from reconstruction.quality.verdict import Quality
 from reconstruction.settings import PupilBasis
 from reconstruction.solve.modal import ModalSolution
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     import xarray as xr
     from matplotlib.figure import Figure, FigureBase
 
-_MOST_MODES = 36  # all up to degree 7
 MAP_ACROSS = 21  # positions across the field, unless another number is chosen
 FIELD_BASIS: PupilBasis = "zernike"  # unless another is chosen
 
@@ -90,13 +90,8 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
 @lru_cache(maxsize=8)
 def _fit(sensor: Sensor, basis: PupilBasis, known_bytes: bytes) -> Floats:
     """Matrix (pupil_mode, lenslet) from wavefront to coefficients; zero for unused lenslets."""
-    most = min(sensor.lenslet_rows, sensor.lenslet_columns)
-    modes = pupil_modes(sensor, basis, min(_MOST_MODES, most * (most + 1) // 2))
-    known = np.frombuffer(known_bytes, np.bool_)
-    used = known & modes.inside.ravel()
-    fit = np.full((len(modes.values), used.size), 0.0 if used.any() else np.nan)
-    fit[:, used] = np.linalg.pinv(modes.values.reshape(len(fit), -1)[:, used].T)
-    return fit
+    known = np.frombuffer(known_bytes, np.bool_).reshape(sensor.lenslet_rows, sensor.lenslet_columns)
+    return fit_at_lenslets(sensor, basis, known)[1]
 
 
 def _apply(fit: Floats, phases: Floats) -> Floats:
@@ -105,20 +100,27 @@ def _apply(fit: Floats, phases: Floats) -> Floats:
 
 
 def field_coefficients(
-    wavefront: Wavefront, basis: PupilBasis = FIELD_BASIS, *, order: int | None = None, positions: int = MAP_ACROSS
+    wavefront: Wavefront,
+    basis: PupilBasis = FIELD_BASIS,
+    *,
+    degree: int | None = None,
+    positions: int = MAP_ACROSS,
+    order: ZernikeOrder = "noll",
 ) -> xr.Dataset:
     """Map the coefficients of a wavefront over the field, with double Zernikes (docs/field.md).
 
     Parameters
     ----------
     wavefront
-        A wavefront of the modal method.
+        A wavefront. To one of the zonal method, Zernike modes are fitted at the lenslet centres.
     basis
-        Zernike modes over the circle inscribed in the lattice, or Legendre modes over the whole lattice.
-    order
+        Zernike modes over the circle or annulus of the pupil, or Legendre modes over the whole lattice.
+    degree
         Highest degree of the modes; by default all that were fitted, which is exact.
     positions
         Number of field positions along each side.
+    order
+        Order and normalisation of Zernike modes: "noll", "osa" or "fringe". Double Zernikes are always Noll's.
 
     Returns
     -------
@@ -130,56 +132,77 @@ def field_coefficients(
     Raises
     ------
     ReconstructionError
-        If the wavefront has no coefficients, or not of this order.
+        If the wavefront has no coefficients of this degree.
 
     Examples
     --------
-    >>> field = svwfs.field_coefficients(wavefront, order=4)
+    >>> field = svwfs.field_coefficients(wavefront, degree=4)
     >>> field["coefficient"].sel(mode=4)["name"].item()  # Noll's count
     'Z4 defocus'
     """
     from app.measurement.offline_reconstructor import whole_number
 
-    order = None if order is None else whole_number(order, "order")
-    found = fit_coefficients(ModalFit.of(measured(wavefront)), basis, order)
-    return field_dataset(found, wavefront.sensor, wavefront.field, positions=whole_number(positions, "positions"))
+    degree = None if degree is None else whole_number(degree, "degree")
+    found = fit_coefficients(ModalFit.of(measured(wavefront)), basis, degree)
+    positions = whole_number(positions, "positions")
+    return field_dataset(found, wavefront.sensor, wavefront.field, positions=positions, order=order)
 
 
 def field_dataset(
-    found: FieldCoefficients, sensor: Sensor, field: Field, *, positions: int, field_order: int | None = None
+    found: FieldCoefficients,
+    sensor: Sensor,
+    field: Field,
+    *,
+    positions: int,
+    field_order: int | None = None,
+    order: ZernikeOrder = "noll",
 ) -> xr.Dataset:
     """Return maps at positions x positions over the field; of Zernike modes also double Zernikes."""
     if positions < 1:
         raise InputError(f"the positions across the field must be at least 1, not {positions}")
-    maps = coefficient_maps(found, field, *[evenly_spread(positions)] * 2)
+    if order not in ORDERS:
+        raise InputError(f"there is no order {order!r} of Zernike modes: it must be one of {', '.join(ORDERS)}")
+    maps = coefficient_maps(found, field, *[evenly_spread(positions)] * 2, order=order)
     if found.basis != "zernike":
         return maps
     zernikes = _double_zernikes(found, sensor, field, field_order)
     return maps.assign(zernikes.data_vars).assign_attrs(zernikes.attrs | maps.attrs)
 
 
-def coefficient_maps(found: FieldCoefficients, field: Field, x: Floats, y: Floats) -> xr.Dataset:
+def coefficient_maps(
+    found: FieldCoefficients, field: Field, x: Floats, y: Floats, *, order: ZernikeOrder = "noll"
+) -> xr.Dataset:
     """Return the coefficients but the piston on a grid x (column,), y (row,) over half the field's width."""
     import xarray as xr
 
-    y = y[:, None]
+    y, count, maps = y[:, None], len(found.rad), ("mode", "y", "x")
+    numbers, names, about_numbers = np.arange(count), BASES[found.basis].names(count), "the paper's count, from 0"
+    scale = np.ones(count)
+    if found.basis == "zernike":
+        numbers, names = np.array(zernike_numbers(count, order)), zernike_names(count, order)
+        about_numbers = ORDERS[order]
+        scale = zernike_amplitudes(count) if order == "fringe" else scale
+    by_number = np.argsort(numbers)[1:]
     outside = ~field.contains(x, y)
-    values, sigma = found.at(x, y)[1:], found.sigma(x, y)[1:]
+    values, sigma = (each[by_number] * scale[by_number, None, None] for each in (found.at(x, y), found.sigma(x, y)))
     values[:, outside] = sigma[:, outside] = np.nan
-    maps, first = ("mode", "y", "x"), int(found.basis == "zernike")
-    count = "Noll's count, from 1" if first else "the paper's count, from 0"
     return xr.Dataset(
         {
             "coefficient": (maps, values, about("rad", f"coefficients in {found.basis} modes")),
             "coefficient_sigma": (maps, sigma, about("rad", "standard deviation of coefficient")),
         },
         coords={
-            "mode": ("mode", np.arange(1, len(found.rad)) + first, about("1", count)),
-            "name": ("mode", list(BASES[found.basis].names(len(found.rad))[1:])),
+            "mode": ("mode", numbers[by_number], about("1", about_numbers)),
+            "name": ("mode", [names[number] for number in by_number]),
             "x": ("x", x * field.half_width_m, about("m", "field position")),
             "y": ("y", y[:, 0] * field.half_width_m, about("m", "field position")),
         },
-        attrs={"title": "Coefficients over the field", "basis": found.basis, "known_share": found.known_share},
+        attrs={
+            "title": "Coefficients over the field",
+            "basis": found.basis,
+            "order": about_numbers,
+            "known_share": found.known_share,
+        },
     )
 
 
@@ -204,14 +227,15 @@ def _double_zernikes(
     """Double Zernikes with standard deviations, and radii of their circles under GalSim's names."""
     import xarray as xr
 
-    dimensions, radius_m = ("k", "j"), min(sensor.pupil_half_width_m)
+    dimensions, radius_m = ("k", "j"), sensor.circle.radius_m or 0.0
     rad, sigma = found.double_zernikes(field_order)
     long_name = "d[k, j] Z_k(field) Z_j(pupil), Noll's counts from 1; the first row and column are unused"
     variables = {
         "double_zernike": (dimensions, rad, about("rad", long_name)),
         "double_zernike_sigma": (dimensions, sigma, about("rad", "standard deviation of double_zernike")),
     }
-    circles = {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m, "xy_inner": 0.0}
+    circles = {"uv_outer": field.half_width_m, "uv_inner": 0.0, "xy_outer": radius_m}
+    circles |= {"xy_inner": radius_m * sensor.circle.obscuration}
     return xr.Dataset(variables, attrs={"title": "Double Zernike coefficients", **circles})
 
 
@@ -233,7 +257,8 @@ def coefficient_sentences(maps: xr.Dataset) -> list[str]:
         values, sigma = of_mode["coefficient"], float(of_mode["coefficient_sigma"].mean())
         lines.append(
             f"{of_mode['name'].item()}: mean {float(values.mean()):+.3f} rad,"
-            f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error {sigma:.2g} rad"
+            f" {float(values.min()):+.3f} ... {float(values.max()):+.3f} over the field, error"
+            f" {f'{sigma:.2g} rad' if np.isfinite(sigma) else 'unknown'}"
         )
     if (share := maps.attrs["known_share"]) < 1:
         lines.append(f"{100 * (1 - share):.0f} % of the lenslets in the pupil are unknown: the modes bridge them")
@@ -261,7 +286,7 @@ def draw_field(figure: FigureBase, maps: xr.Dataset, modes: Sequence[int]) -> No
         sigma = of_mode["coefficient_sigma"]
         limit = float(np.abs(of_mode["coefficient"]).max()) or 1.0
         draw_map(value, of_mode["coefficient"], name, "RdBu_r", (-limit, 0.0, limit))
-        draw_map(error, sigma, "standard\ndeviation", "viridis", (0.0, float(sigma.max()) or 1.0))
+        draw_map(error, sigma, "standard\ndeviation", "viridis", (0.0, float(sigma.fillna(0.0).max()) or 1.0))
     for unused in axes.ravel()[2 * len(modes) :]:
         unused.set_axis_off()
     axes[-1, 0].set_xlabel("field x (mm)", fontsize=7.5)
@@ -273,11 +298,11 @@ def double_zernikes(wavefront: Wavefront, _quality: Quality | None = None) -> xr
     return _double_zernikes(_zernikes(wavefront), wavefront.sensor, wavefront.field)
 
 
-def zernikes_of_views(wavefront: Wavefront) -> xr.Dataset:
+def zernikes_of_views(wavefront: Wavefront, order: ZernikeOrder = "noll") -> xr.Dataset:
     """Return the Zernike coefficients of the views, see `coefficient_maps`."""
     field = wavefront.field
     x, y = field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m
-    return coefficient_maps(_zernikes(wavefront), field, x, y)
+    return coefficient_maps(_zernikes(wavefront), field, x, y, order=order)
 
 
 def _zernikes(wavefront: Wavefront) -> FieldCoefficients:

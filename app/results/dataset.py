@@ -104,7 +104,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
     if isinstance(solution, ModalSolution):
         sigma, chi_square = solution.coefficients_sigma, np.array(solution.chi_square)
         variables |= {
-            "coefficients": (modes, solution.coefficients, about("rad", "e_pq")),
+            "coefficients": (modes, solution.coefficients, about("rad", "coefficients e_pq of pupil and field modes")),
             "coefficients_sigma": (modes, sigma, about("rad", "standard deviation of e_pq")),
             "slope_chi_square": ((), chi_square, about("1", "reduced chi-square of the slopes against the fit")),
         }
@@ -250,5 +250,5 @@ def rotation_variables(wavefront: Wavefront) -> dict[str, Variable]:
 
 def write_shown(path: Path, shown: Wavefront, bench: Bench, *, options: str) -> None:
     """Write a wavefront as it is shown, as NetCDF; the attribute `display` names the options."""
-    bench = replace(bench, field=shown.field)  # the display may have chosen other views
+    bench = replace(bench, field=shown.field, sensor=shown.sensor)  # the display may have chosen other views
     write_results(path, result_dataset(shown), bench=bench, inputs={"display": options or "as measured"})

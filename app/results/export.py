@@ -1,9 +1,15 @@
 """Recordings in the formats of other programs; the writers are loaded when they write."""
 
+from __future__ import annotations
+
+from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from app.progress import Progress
+
+if TYPE_CHECKING:
+    from reconstruction.modes.polynomials import ZernikeOrder
 
 Format = Literal["tiff", "csv", "netcdf", "psf", "double-zernike", "zernike-table"]
 
@@ -18,15 +24,27 @@ EXPORT_FORMATS: dict[Format, tuple[str, tuple[str, ...]]] = {  # what is written
 
 
 def export_recording(
-    folder: Path, to: Format, out: Path, frames: str | None = None, progress: Progress = lambda *_: None
+    folder: Path,
+    to: Format,
+    out: Path,
+    frames: str | None = None,
+    progress: Progress = lambda *_: None,
+    *,
+    order: ZernikeOrder = "noll",
 ) -> int:
-    """Write frames of a recording, or their results, one after the other; return their number."""
+    """Write frames of a recording, or their results, one after the other; return their number.
+
+    Of a results file only the table `csv` can be written. `order` is that of the format `zernike-table`.
+    """
     from app.recording.reader import Recording
-    from app.results.export_writers import EXPORT_WRITERS
+    from app.results.export_writers import EXPORT_WRITERS, write_results_csv, write_zernike_table
     from reconstruction.runtime.threads import one_blas_thread
 
+    if to == "csv" and folder.is_file():
+        return write_results_csv(folder, out, frames)
     recording = Recording(folder)
     chosen = recording.select(frames)
     with one_blas_thread():
-        EXPORT_WRITERS[to](recording, chosen, out, progress)
+        writer = partial(write_zernike_table, order=order) if to == "zernike-table" else EXPORT_WRITERS[to]
+        writer(recording, chosen, out, progress)
     return len(chosen)

@@ -16,14 +16,15 @@ from app.files import write_csv
 from app.images import write_stack
 from app.measurement.measurement import Measurement
 from app.progress import Progress, counting
-from app.recording.reader import Recording
+from app.recording.reader import Recording, selected
 from app.recording.reprocess import reprocess
 from app.results.coefficients import double_zernikes, table_of, zernikes_of_views
 from app.results.dataset import result_dataset, results_in_pieces
 from app.results.point_spread import psf_grid, psf_reach, write_psf_grid
 from app.results.replay import first_bench
-from app.results.result_file import write_pieces
+from app.results.result_file import reading_results, write_pieces
 from reconstruction.arrays import Floats
+from reconstruction.modes.polynomials import ZernikeOrder
 from reconstruction.quality.verdict import Quality
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront, rms
@@ -55,8 +56,9 @@ def _write_tiff(recording: Recording, chosen: range, out: Path, progress: Progre
 def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
     """Write a row of numbers for each frame, NaN without a wavefront; columns have names and units.
 
-    `rms_R_C_rad` is the RMS at view row R, view column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode
-    Q, and `e_P_Q_sigma_rad` its standard deviation (modal method only).
+    `clock_time` is the time of day at which the frame arrived, ISO 8601. `rms_R_C_rad` is the RMS at view row R, view
+    column C; `e_P_Q_rad` the coefficient of pupil mode P and field mode Q, and `e_P_Q_sigma_rad` its standard deviation
+    (modal method only).
     """
     remaining = _reconstructed(recording, chosen, progress)
     before: list[Measurement] = []  # up to the first with a wavefront, which decides the columns
@@ -67,19 +69,45 @@ def _write_csv(recording: Recording, chosen: range, out: Path, progress: Progres
     else:
         raise RunError(f"{out}: {NOTHING_TO_WRITE}")
     names = list(_values(frame.wavefront))
-    first = ("frame", "camera_frame", "time_s", "exposure_s", "em_gain", "valid_lenslets")
-    write_csv(out, [*first, *names], (_row(each, names) for each in chain(before, remaining)))
+    first = ("frame", "camera_frame", "time_s", "clock_time", "exposure_s", "em_gain", "valid_lenslets")
+    write_csv(out, [*first, *names], (_row(recording, each, names) for each in chain(before, remaining)))
 
 
-def _row(frame: Measurement, names: list[str]) -> list[float]:
+def _row(recording: Recording, frame: Measurement, names: list[str]) -> list[float | str]:
     taken, values = frame.frame, dict.fromkeys(names, np.nan)
     if frame.wavefront is not None:
         values = _values(frame.wavefront)
         if list(values) != names:
             raise InputError(SETTINGS_CHANGED)
     valid = 0 if frame.registered is None else int(frame.registered.valid.sum())
-    times = taken.index, taken.camera_time_s, taken.exposure_s, taken.em_gain
-    return [frame.index, *times, valid, *values.values()]
+    clock = recording.clock_time(frame.index)
+    times = taken.index, taken.camera_time_s, "" if clock is None else clock.isoformat(timespec="milliseconds")
+    return [frame.index, *times, taken.exposure_s, taken.em_gain, valid, *values.values()]
+
+
+_COLUMNS = {  # of a table of results, by variable; the indices of a view or of modes stand for {}
+    "frame_index": "camera_frame",
+    "time": "time_s",
+    "valid": "valid_lenslets",
+    "rms": "rms{}_rad",
+    "coefficients": "e{}_rad",
+    "coefficients_sigma": "e{}_sigma_rad",
+}
+
+
+def write_results_csv(source: Path, out: Path, frames: str | None) -> int:
+    """Write the same columns for each frame of a results file, as far as it has them; return the number of frames."""
+    with reading_results(source) as opened:
+        stacked = opened if "frame" in opened.dims else opened.expand_dims("frame")
+        chosen = selected(frames, stacked.sizes["frame"], source)
+        columns: dict[str, list[object]] = {"frame": list(chosen)}
+        for name in (each for each in _COLUMNS if each in stacked.variables):
+            values = stacked[name].transpose("frame", ...).values[chosen]
+            values = values.sum(axis=(1, 2)) if name == "valid" else values
+            for at in np.ndindex(values.shape[1:]):
+                columns[_COLUMNS[name].format("".join(f"_{index}" for index in at))] = values[:, *at].tolist()
+    write_csv(out, list(columns), zip(*columns.values(), strict=True))
+    return len(chosen)
 
 
 def _values(wavefront: Wavefront) -> dict[str, float]:
@@ -102,11 +130,13 @@ def _write_results(
     write_pieces(out, pieces, bench=first_bench(recording, chosen), inputs={"recording": recording.folder.name})
 
 
-def _write_zernike_table(recording: Recording, chosen: range, out: Path, progress: Progress) -> None:
+def write_zernike_table(
+    recording: Recording, chosen: range, out: Path, progress: Progress, order: ZernikeOrder = "noll"
+) -> None:
     """Write one row of numbers for each frame with a wavefront, and view inside the field."""
     frames = _reconstructed(recording, chosen, progress)
     known = ((frame.index, frame.wavefront) for frame in frames if frame.wavefront is not None)
-    tables = ((index, *table_of(zernikes_of_views(wavefront))) for index, wavefront in known)
+    tables = ((index, *table_of(zernikes_of_views(wavefront, order))) for index, wavefront in known)
     first = next(tables, None)
     if first is None:
         raise RunError(f"{out}: {NOTHING_TO_WRITE}")
@@ -148,5 +178,5 @@ EXPORT_WRITERS: dict[str, Callable[[Recording, range, Path, Progress], None]] = 
     "netcdf": _write_results,
     "psf": _write_psf,
     "double-zernike": partial(_write_results, results_of=double_zernikes),
-    "zernike-table": _write_zernike_table,
+    "zernike-table": write_zernike_table,
 }

@@ -100,9 +100,11 @@ def draw_curves(figure: SubFigure, wavefront: Wavefront) -> None:
     """Draw the modulation transfer of the middle view, and wavefront differences over separation."""
     field = wavefront.field
     middle = field.view_rows // 2, field.view_columns // 2
-    left, right = figure.subplots(1, 2)
+    is_single = wavefront.displacement.modes.count == 1  # one wavefront for the whole field
+    left, *right = figure.subplots(1, 1 if is_single else 2, squeeze=False)[0]
     _draw_transfer(left, mtf(wavefront.views[middle], wavefront.sensor), place_of_view(field, *middle))
-    _draw_structure(right, isoplanatism(wavefront))
+    for axis in right:
+        _draw_structure(axis, isoplanatism(wavefront))
 
 
 def _draw_transfer(axis: Axes, transfer: Mtf, where: str) -> None:

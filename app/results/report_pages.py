@@ -18,12 +18,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Patch
 
 from app.files import atomic_write
-from app.progress import Progress, between, part
+from app.progress import Progress, between
 from app.recording.reader import Recording
 from app.results.coefficients import MAP_ACROSS, coefficient_maps, draw_field, evenly_spread, strongest
+from app.results.comparison import Residual
 from app.results.figures import draw_curves, draw_maps, place_of_view
 from app.results.replay import change_of
-from app.results.report_summary import Residual, Statistics, Summary, facts, residual_of, summarise
+from app.results.report_summary import Statistics, Summary, facts, summarise
+from app.results.sources import mean_of_frames, read_fit
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
@@ -199,19 +201,23 @@ _MODES = 8  # with the largest coefficients
 def coefficients_page(summary: Summary, stats: Statistics) -> Figure | None:
     """Draw the strongest Zernike coefficients of the middle frame; None if its reconstruction has none."""
     try:
-        found = fit_coefficients(ModalFit.of(stats.wavefront), "zernike")
+        return _coefficients(summary.name, stats.middle, ModalFit.of(stats.wavefront), stats.wavefront.field)
     except ReconstructionError:
         return None
-    sentence = f"strongest Zernike coefficients of frame {stats.middle} over the field (mm), and their errors (rad)"
-    figure, (_, maps) = _page(summary.name, sentence, [1])
-    dataset = coefficient_maps(found, stats.wavefront.field, *[evenly_spread(MAP_ACROSS)] * 2)
+
+
+def _coefficients(name: str, frame: int, fit: ModalFit, field: Field) -> Figure:
+    found = fit_coefficients(fit, "zernike")
+    sentence = f"strongest Zernike coefficients of frame {frame} over the field (mm), and their errors (rad)"
+    figure, (_, maps) = _page(name, sentence, [1])
+    dataset = coefficient_maps(found, field, *[evenly_spread(MAP_ACROSS)] * 2)
     draw_field(maps, dataset, strongest(dataset, _MODES))
     return figure
 
 
 def comparison_page(residual: Residual) -> Figure:
-    """Draw two recordings on the same colour scale, and their difference on its own."""
-    title = f"{residual.name} beside {residual.other_name}"
+    """Draw two wavefronts on the same colour scale, and their difference on its own."""
+    title = f"{residual.name} and {residual.other_name}"
     figure, (_, above, below) = _page(title, residual.sentence, [0.42, 0.58])
     limit = float(np.nanmax(np.abs([residual.mean, residual.other_mean]), initial=0))
     ((own, other),) = above.subfigures(1, 2, squeeze=False)
@@ -231,26 +237,32 @@ def write_report(
     *,
     frames: str | None = None,
     settings: tuple[str, ...] = (),
-    beside: Path | None = None,
     progress: Progress = lambda *_: None,
-) -> tuple[Summary, Residual | None]:
+) -> Summary:
     """Write the report of a recording as PDF, or as PNG with one page below the other; return what is in it.
 
-    `frames` and changed `settings` are those of the first recording; `beside` is subtracted from it.
+    `frames` are some of its frames, reconstructed with changed `settings`.
     """
-    recordings = [Recording(each) for each in (folder, beside) if each is not None]
-    parts = [part(between(progress, 0, _RECONSTRUCTED), index, len(recordings)) for index in range(len(recordings))]
-    summary = summarise(recordings[0], frames, parts[0], change=change_of(None, settings))
-    residual = None if beside is None else residual_of(summary, summarise(recordings[1], None, parts[1]))
+    reconstructing = between(progress, 0, _RECONSTRUCTED)
+    summary = summarise(Recording(folder), frames, reconstructing, change=change_of(None, settings))
     progress("drawing the pages", _RECONSTRUCTED)
     pages = [overview_page(summary)]
     if (stats := summary.statistics) is not None:
         pages += filter(None, [certainty_page(summary, stats), coefficients_page(summary, stats)])
-    if residual is not None:
-        pages.append(comparison_page(residual))
     with atomic_write(out) as temporary:
         write_pages(temporary, pages)
-    return summary, residual
+    return summary
+
+
+def write_result_report(path: Path, out: Path) -> None:
+    """Write the report of a results file: the mean wavefront of its frames, and coefficients of the first one."""
+    (bench, fit), (_, views) = read_fit(path, 0), mean_of_frames(path)
+    sensor = bench.sensor
+    text = f"{bench.registration.method}, {bench.reconstruction.method}; {sensor.pupil.in_words or 'all lenslets'}"
+    figure, (_, below) = _page(path.name, text, [1])
+    _draw_views(below, views, bench.field, title="mean wavefront")
+    with atomic_write(out) as temporary:
+        write_pages(temporary, [figure, _coefficients(path.name, 0, fit, bench.field)])
 
 
 def write_pages(path: Path, pages: Iterable[Figure]) -> None:

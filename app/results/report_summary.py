@@ -25,8 +25,7 @@ from app.results.replay import are_alike
 from app.results.run_summary import QualityTally
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
-from reconstruction.geometry import Field
-from reconstruction.wavefront import Wavefront, mean_rms, rms, without_piston
+from reconstruction.wavefront import Wavefront, mean_rms
 
 _SAMPLED_FRAMES = 200  # evenly spaced frames that are reconstructed again
 
@@ -147,50 +146,6 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
             refined=refined,
             quality=quality,
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Residual:
-    """Mean wavefronts of two recordings and their difference, rad.
-
-    All are (view_row, view_column, lenslet_row, lenslet_column).
-    """
-
-    name: str
-    other_name: str
-    field: Field
-    mean: Floats
-    other_mean: Floats
-    views: Floats  # difference without piston, where both are known
-
-    @property
-    def rms_rad(self) -> Floats:
-        """RMS of the difference at each view, (view_row, view_column)."""
-        return rms(self.views)
-
-    @property
-    def sentence(self) -> str:
-        """The three numbers of the paper's Table 2."""
-        values = self.rms_rad
-        return (
-            f"RMS of the difference at the views: least {np.nanmin(values):.3f}, most {np.nanmax(values):.3f},"
-            f" mean {np.nanmean(values):.3f} rad"
-        )
-
-
-def residual_of(summary: Summary, other: Summary) -> Residual:
-    """Subtract the mean wavefronts of `other`; `InputError` if they cannot be subtracted."""
-    folder, other_folder = summary.recording.folder, other.recording.folder
-    one, two = summary.statistics, other.statistics
-    if one is None or two is None:
-        without = folder if one is None else other_folder
-        raise InputError(f"{without}: no frame has a wavefront: there is nothing to compare")
-    if not are_alike(one.wavefront, two.wavefront):
-        raise InputError(f"{other_folder}: has other views or lenslets than {folder}: nothing to compare")
-    views = without_piston(one.mean - two.mean)
-    if not np.isfinite(views).any():
-        raise InputError(f"{other_folder}: has no lenslet in common with {folder}")
-    return Residual(summary.name, other.name, one.wavefront.field, one.mean, two.mean, views)
 
 
 Fact = tuple[str, str]  # label and text

@@ -18,6 +18,7 @@ from app.bench.bench_files import written_by
 from app.bench.config import Bench, write_bench
 from app.errors import NOTHING_TO_WRITE, SETTINGS_CHANGED, InputError, RunError
 from app.files import atomic_write, check_readable, in_words
+from reconstruction.modes.pupil_modes import BASES
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -113,11 +114,15 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
     Only a file that `grows` has an unlimited dimension: h5netcdf opens such a file six times slower.
     """
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
+    basis = BASES.get(bench.reconstruction.basis)
+    if basis is not None and "pupil_mode" in piece.dims:
+        names = list(basis.names(piece.sizes["pupil_mode"]))
+        piece = piece.assign_coords(pupil_mode_name=("pupil_mode", names, {"long_name": basis.about}))
     if bench.linearity is not None:
         origin["linearity"] = f"corrected: {bench.linearity.sentence}"
     # names of files need not be text
     origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
-    attributes = {"title": "Space-variant wavefront"} | piece.attrs | origin
+    attributes = {"title": "Space-variant wavefront", **_geometry(bench)} | piece.attrs | origin
     of_frames = {
         name: piece.variables[name] for name in piece.variables if grows and FRAME in piece.variables[name].dims
     }
@@ -126,6 +131,24 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
         unlimited_dims=[FRAME] if grows else [],
         encoding={name: {"chunksizes": (PIECE, *variable.shape[1:])} for name, variable in of_frames.items() if grows},
     )
+
+
+def _geometry(bench: Bench) -> dict[str, Any]:
+    """Attributes that say axes, lattice and pupil."""
+    lattice, pupil, circle = bench.lattice, bench.sensor.pupil, bench.sensor.circle
+    of_lattice: dict[str, Any] = {}
+    if lattice is not None:
+        center_px = [lattice.center_x_px, lattice.center_y_px]
+        of_lattice = {"lattice_rotation_rad": lattice.rotation_rad, "lattice_center_px": center_px}
+    return {
+        "axes": "x runs along the rows of the lattice, y along its columns: the camera's axes (x to the right, y down),"
+        " turned by lattice_rotation_rad, positive from x to y",
+        **of_lattice,
+        "pupil": pupil.shape if pupil.radius_m else "all lenslets",
+        "pupil_center_m": [circle.center_x_m, circle.center_y_m],
+        "pupil_radius_m": circle.radius_m,
+        "pupil_obscuration": circle.obscuration,
+    }
 
 
 def _append(path: Path, piece: xr.Dataset) -> None:

@@ -179,6 +179,7 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
         for name, average in ((_DARK, calibration.dark), (_REFERENCE, calibration.reference)):
             if average is not None:
                 write_image(recording.folder / name, average.mean)
+        bench = calibration.bench  # with lattice and pupil
     reprocessing = Reprocessing(recording)
     frames = counting(reprocessing(), len(recording), progress, "writing the results")
     pieces = results_in_pieces((measured.take(made, reprocessing.mask_sentence(made)), {}) for made in frames)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.layers.layer_solver import FrameEquations, LayerSolver
-from reconstruction.modes.field_modes import PolynomialModes, gradient_basis, orthogonal_modes
+from reconstruction.modes.field_modes import PolynomialModes, SampledModes, gradient_basis, orthogonal_modes
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
 from reconstruction.solve.expected_errors import MeanGradients
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from app.measurement.calibration import Calibration
+    from app.recording.reprocess import Change
     from reconstruction.deconvolution.corrected_image import PhaseAt
     from reconstruction.field_coefficients import ModalFit
 
@@ -53,23 +55,22 @@ def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
 
 
 def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
-    """Return bench, coefficients and the variables `names` of one frame, from 0, of a results file.
+    """Return bench, variables `names` and, of a modal result, coefficients of one frame, from 0, of a results file.
 
     Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
     """
     with reading_results(path) as opened:
         if "displacement" not in opened:
             raise InputError(f"{path}: {_NOT_MEASURED}")
-        if "coefficients" not in opened:
-            raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method=modal")
         if missing := [name for name in names if name not in opened]:
             raise InputError(f"{path}: is damaged: it lacks {', '.join(missing)}")
-        results = opened[["coefficients", *names]]
+        results = opened[[*names, *({"coefficients", "coefficients_sigma"} & {*map(str, opened)})]]
         results = results if "frame" in results.dims else results.expand_dims("frame")
         _require_frame(path, frame, results.sizes["frame"])
         bench = parse_bench(str(opened.attrs.get("bench", "")), f"{path}: bench")
         one = results.isel(frame=frame).load()
-    _require_plausible(path, one["coefficients"].values)
+    if "coefficients" in one:
+        _require_plausible(path, one["coefficients"].values)
     return bench, one
 
 
@@ -102,23 +103,32 @@ def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
 def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     """Return bench and coefficients of one frame, counted from 0, of a recording or a results file.
 
-    A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated.
-    `InputError` if there is no such frame, that or `ReconstructionError` if it has no coefficients.
+    A results file has the standard deviations of e_pq without their covariance: they are taken as uncorrelated. To
+    zonal wavefronts, and between stars, Zernike modes are fitted at the views. `InputError` if there is no such frame.
     """
     from reconstruction.field_coefficients import ModalFit
 
     if source.is_dir():
         calibration, wavefront = recorded_frame(source, frame)
         return calibration.bench, ModalFit.of(wavefront)
-    bench, results = stored_frame(source, frame, "coefficients_sigma", "wavefront")
-    names = ("coefficients", "coefficients_sigma")
-    rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
+    bench, results = stored_frame(source, frame, "wavefront")
     views = results["wavefront"].transpose("view_row", "view_column", ...).values
-    if not bench.registration.fits_warps:
-        raise InputError(f"{source}: its wavefront is known at its views alone: reconstruct with method gauss_newton")
-    uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
-    known = np.isfinite(views).any(axis=(0, 1))
-    return bench, ModalFit(bench.sensor, *modes_of(bench, rad), rad, uncorrelated, known)
+    if "coefficients" in results and has_field_modes(bench, results.sizes["field_mode"]):
+        names = ("coefficients", "coefficients_sigma")
+        rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
+        uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
+        known = np.isfinite(views).any(axis=(0, 1))
+        return bench, ModalFit(bench.sensor, *modes_of(bench, rad), rad, uncorrelated, known)
+    field = bench.field
+    if not np.isfinite(views).any(axis=(2, 3)).all():
+        raise InputError(f"{source}: the wavefront between its views is unknown: reconstruct with the modal method")
+    between = SampledModes(field.view_x_m / field.half_width_m, field.view_y_m / field.half_width_m)
+    return bench, ModalFit.fitted(bench.sensor, between, views.reshape(-1, *views.shape[2:]))
+
+
+def has_field_modes(bench: Bench, count: int) -> bool:
+    """True if coefficients of that many field modes hold for every field position; others do at stars alone."""
+    return bench.registration.fits_warps or count == 1
 
 
 def modes_of(bench: Bench, coefficients: Floats) -> tuple[PupilModes, PolynomialModes]:
@@ -139,14 +149,23 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
     coefficients nor several views.
     """
     coefficients, views = mean_of_frames(source, frames, progress)
-    if coefficients.size and bench.registration.fits_warps:
+    if coefficients.size and has_field_modes(bench, coefficients.shape[1]):
         return _of_modes(bench, coefficients, views)
     return _between_views(source, bench, views)
 
 
-def mean_of_frames(source: Path, frames: str | None = None, progress: Progress = lambda *_: None) -> _Frame:
-    """Return the mean of frames; `InputError` if they do not go together, or there are none."""
-    read = _recorded_frames if source.is_dir() else _stored_frames
+def mean_of_frames(
+    source: Path, frames: str | None = None, progress: Progress = lambda *_: None, change: Change | None = None
+) -> _Frame:
+    """Return the mean of frames; `InputError` if they do not go together, or there are none.
+
+    A recording may be reconstructed with a changed calibration.
+    """
+    if change is not None and not source.is_dir():
+        raise InputError(
+            f"{source}: settings can be changed for recordings alone, whose frames are reconstructed again"
+        )
+    read = partial(_recorded_frames, change=change) if source.is_dir() else _stored_frames
     coefficients, views, count = np.zeros(()), np.zeros(()), 0
     for of_frame, views_of_frame in read(source, frames, progress):
         if count and (views_of_frame.shape != views.shape or of_frame.shape != coefficients.shape):
@@ -173,13 +192,15 @@ def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iter
             progress("reading wavefronts", done / len(chosen))
 
 
-def _recorded_frames(source: Path, frames: str | None, progress: Progress) -> Iterator[_Frame]:
+def _recorded_frames(
+    source: Path, frames: str | None, progress: Progress, *, change: Change | None
+) -> Iterator[_Frame]:
     from app.recording.reader import Recording
     from app.recording.reprocess import reprocess
 
     recording = Recording(source)
     chosen = recording.select(frames)
-    for done, frame in enumerate(reprocess(recording, chosen), 1):
+    for done, frame in enumerate(reprocess(recording, chosen, change), 1):
         if frame.wavefront is not None:
             coefficients = frame.wavefront.coefficients
             yield np.zeros(0) if coefficients is None else coefficients, frame.wavefront.views
@@ -247,6 +268,8 @@ def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
         calibration, wavefront = recorded_frame(source, frame)
         return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)
     bench, results = stored_frame(source, frame, "displacement", "displacement_sigma", "valid")
+    if "coefficients" not in results:
+        raise InputError(f"{source}: holds no coefficients: reconstruct with reconstruction.method=modal")
     sigma_px = results["displacement_sigma"].values[results["valid"].values.astype(bool)]
     if not ((sigma_px > 0) & np.isfinite(sigma_px)).all():
         raise InputError(f"{source}: is damaged: the error of a displacement must be above 0 px and finite")

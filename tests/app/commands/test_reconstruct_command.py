@@ -111,7 +111,7 @@ def _nan(image: np.ndarray) -> np.ndarray:
 
 BAD_FRAMES = {
     "no such file": None,
-    "cannot be read as TIFF, NPY, FITS, PNG, BMP or PGM": b"not an image",
+    "cannot be read as TIFF, FITS, HDF5, MAT, NPY, NPZ, PNG, BMP or PGM": b"not an image",
     "has 100 x 512 pixels": lambda image: image[:100],
     "not finite": _nan,
     "3 x 512 x 512; one grey image": lambda image: np.stack([image] * 3),

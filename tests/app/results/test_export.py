@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -103,12 +104,17 @@ def test_csv_equals_the_recorded_results(recording: Recording, tmp_path: Path) -
         assert isinstance(wavefront.solution, ModalSolution)
         assert row["rms_2_0_rad"] == pytest.approx(rms(wavefront.views)[2, 0], rel=1e-3)
         assert row["e_4_1_sigma_rad"] == pytest.approx(wavefront.solution.coefficients_sigma[4, 1], rel=1e-2)
-    assert not any(np.isnan(table[name]).any() for name in names_of(table))
+    assert not any(np.isnan(table[name]).any() for name in names_of(table) if name != "clock_time")
+    clock = np.genfromtxt(tmp_path / "run.csv", delimiter=",", names=True, dtype=None, encoding="utf-8")["clock_time"]
+    began = datetime.fromisoformat(recording.run["began"])
+    for index in range(9):
+        elapsed_s = (datetime.fromisoformat(clock[index]) - began).total_seconds()
+        assert elapsed_s == pytest.approx(recording.line(index).host_time_s - recording.run["began_host_s"], abs=2e-3)
 
 
 def test_csv_of_zonal_method_has_no_coefficients(zonal: Recording, tmp_path: Path) -> None:
     table = read_table(exported(zonal, "csv", tmp_path / "run.csv"))
-    assert list(names_of(table))[6:] == [f"rms_{row}_{column}_rad" for row in range(3) for column in range(3)]
+    assert list(names_of(table))[7:] == [f"rms_{row}_{column}_rad" for row in range(3) for column in range(3)]
     assert table["rms_0_0_rad"].mean() > 0.1
 
 
@@ -122,7 +128,7 @@ def test_frame_without_wavefront_is_a_row_of_nan(tmp_path: Path, small_toml: Pat
     table = read_table(exported(dark, "csv", tmp_path / "run.csv"))
     assert table["frame"].tolist() == [0, 1, 2, 3]
     assert table["valid_lenslets"][0] == 0
-    for name in names_of(table)[6:]:
+    for name in names_of(table)[7:]:
         assert np.isnan(table[name]).tolist() == [True, False, False, False]
     with xr.open_dataset(exported(dark, "netcdf", tmp_path / "run.nc")) as dataset:
         assert dataset["recording_index"].to_numpy().tolist() == [1, 2, 3]

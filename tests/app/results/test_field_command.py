@@ -68,7 +68,7 @@ def test_results_file_gives_the_same_values_and_nearly_the_errors(
     recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, source in (("run", recording), ("result", recording / "results.nc")):
-        assert run(monkeypatch, "field", source, "--order", "4", "--out", tmp_path / f"{name}.nc") == 0
+        assert run(monkeypatch, "field", source, "--degree", "4", "--out", tmp_path / f"{name}.nc") == 0
     with xr.open_dataset(tmp_path / "run.nc") as one, xr.open_dataset(tmp_path / "result.nc") as other:
         np.testing.assert_allclose(one["coefficient"], other["coefficient"], atol=1e-12)
         np.testing.assert_allclose(one["double_zernike"], other["double_zernike"], atol=1e-12)
@@ -81,7 +81,7 @@ def test_results_file_gives_the_same_values_and_nearly_the_errors(
 @pytest.mark.slow
 def test_table_has_a_row_for_each_position(recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out, maps = tmp_path / "t.csv", tmp_path / "t.nc"
-    options = ("--positions", "3", "--basis", "legendre", "--order", "2")
+    options = ("--positions", "3", "--basis", "legendre", "--degree", "2")
     assert run(monkeypatch, "field", recording, *options, "--out", out) == 0
     assert run(monkeypatch, "field", recording, *options, "--out", maps) == 0
     rows = read(out)
@@ -120,7 +120,7 @@ def test_exports_hold_every_frame(recording: Path, tmp_path: Path, monkeypatch: 
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
-        (["--order", "40"], "order 40 of the pupil modes must be 1 ... 10"),
+        (["--degree", "40"], "degree 40 of the pupil modes must be 1 ... 10"),
         (["--field-order", "9"], "field order 9 exceeds that of the"),
         (["--field-order", "1", "--basis", "legendre"], "leave it out with --basis legendre"),
         (["--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 2"),
@@ -146,27 +146,46 @@ def test_bad_input_is_one_line(
 @pytest.mark.slow
 @pytest.mark.long
 def test_sources_without_the_coefficients_are_refused(
-    small_toml: Path,
-    recording: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def refused(*arguments: str | Path, out: Path = tmp_path / "f.nc") -> str:
         assert run(monkeypatch, *arguments, "--out", out) == 2
         assert not out.exists()
         return capsys.readouterr().err.strip().splitlines()[-1]
 
-    modal = "no coefficients: reconstruct with reconstruction.method=modal"
-    zonal = record(small_toml, tmp_path / "zonal", "reconstruction.method=zonal", frames=1).folder
-    assert modal in refused("field", zonal)
-    assert modal in refused("export", zonal, "--to", "zernike-table", out=tmp_path / "f.csv")
     assert "no such file" in refused("field", tmp_path / "nothing.nc")
     assert "null: not a file" in refused("field", Path(os.devnull))
     with xr.open_dataset(recording / "results.nc") as results:
-        results.drop_vars(["coefficients"]).to_netcdf(tmp_path / "other.nc")
         results.assign(wavefront=results["wavefront"] * np.nan).to_netcdf(tmp_path / "lost.nc")
         results.isel(field_mode=[0]).to_netcdf(tmp_path / "single.nc")  # as a translation yields
     assert "measured at a single field position" in refused("field", tmp_path / "single.nc", "--field-order", "1")
-    assert modal in refused("field", tmp_path / "other.nc")
-    assert "no lenslet is known inside the circular pupil" in refused("field", tmp_path / "lost.nc")
+    assert "no lenslet is known inside the pupil 3.50 mm" in refused("field", tmp_path / "lost.nc")
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_zonal_results_have_the_coefficients_of_their_views(
+    small_toml: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A least-squares fit of 36 modes by SciPy at the lenslet centres in the circle; between views they interpolate."""
+    zonal = record(small_toml, tmp_path / "zonal", "reconstruction.method=zonal", frames=1).folder
+    results, table = tmp_path / "r.nc", tmp_path / "t.csv"
+    assert run(monkeypatch, "export", zonal, "--to", "netcdf", "--out", results) == 0
+    for source, out in ((zonal, tmp_path / "one.nc"), (results, tmp_path / "other.nc")):
+        assert run(monkeypatch, "field", source, "--positions", "3", "--out", out) == 0
+    assert run(monkeypatch, "export", zonal, "--to", "zernike-table", "--order", "fringe", "--out", table) == 0
+    bench = load_bench(str(small_toml))
+    radius_m = min(bench.sensor.pupil_half_width_m)
+    x, y = bench.sensor.pupil_x_m / radius_m, bench.sensor.pupil_y_m[:, None] / radius_m
+    with xr.open_dataset(results) as stored, xr.open_dataset(tmp_path / "other.nc") as between:
+        views = stored["wavefront"].values[0]
+        known = np.isfinite(views).all(axis=(0, 1)) & (x**2 + y**2 <= 1)
+        modes = zernike(len(between["mode"]) + 1, x, y)[:, known]
+        expected = np.moveaxis(np.linalg.lstsq(modes.T, views[..., known].reshape(9, -1).T)[0].reshape(-1, 3, 3), 0, -1)
+        at_views = between["coefficient"].interp(x=stored["view_x"].values, y=stored["view_y"].values)
+        assert between["coefficient_sigma"].isnull().all()
+        np.testing.assert_allclose(at_views.transpose("y", "x", "mode")[1, 1], expected[1, 1, 1:], atol=1e-9)
+        with xr.open_dataset(tmp_path / "one.nc") as one:  # the recording has all field modes
+            np.testing.assert_allclose(one["coefficient"][:, 1, 1], expected[1, 1, 1:], atol=1e-9)
+    defocus = [row["Z4_rad"] / np.sqrt(3) for row in read(table)]
+    np.testing.assert_allclose(defocus, expected[..., 3].ravel(), atol=1e-9)

@@ -24,10 +24,11 @@ from support.recordings import edit_line, record, replace_pixels
 
 from app.errors import InputError
 from app.recording.reader import Recording
+from app.results.comparison import residual_of
 from app.results.export import export_recording
 from app.results.replay import change_of
 from app.results.report_pages import certainty_page, coefficients_page, comparison_page, overview_page, write_report
-from app.results.report_summary import Summary, facts, residual_of, summarise
+from app.results.report_summary import Summary, facts, summarise
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
 
@@ -228,10 +229,8 @@ def test_text_on_every_page_is_legible(recording: Recording, settings: tuple[str
     problems["a sentence that is so long that it has to be broken: " + 20 * "words and more words, "] = 3
     summary = replace(summary, problems=problems)
     assert summary.statistics is not None
-    residual = replace(residual_of(summary, summary), name="$\\nothing$ ^_ " + 60 * "long ")
     assert_legible(drawn(overview_page(summary)))
     assert_legible(certainty(summary))
-    assert_legible(drawn(comparison_page(residual)))
 
 
 def test_third_page_names_the_frame_that_it_draws(mine: Recording) -> None:
@@ -260,15 +259,14 @@ def test_many_frames_are_sampled(recording: Recording, monkeypatch: pytest.Monke
 def test_report_without_wavefronts_says_why(mine: Recording, tmp_path: Path) -> None:
     for index in range(FRAMES):
         replace_pixels(mine, index, np.full_like(mine.pixels(0), 500))
-    summary, _ = write_report(mine.folder, tmp_path / "r.pdf")
+    summary = write_report(mine.folder, tmp_path / "r.pdf")
     assert summary.statistics is None
     figure = drawn(overview_page(summary))
     assert "no frame has a wavefront" in said(figure)
     assert "5 of them: no lenslet of the frame could be matched" in said(figure)
     assert_legible(figure)
-    with pytest.raises(InputError, match="no frame has a wavefront"):
-        write_report(mine.folder, tmp_path / "s.pdf", beside=mine.folder)
-    assert not (tmp_path / "s.pdf").exists()
+    with pytest.raises(InputError, match="has no frame with a wavefront"):
+        residual_of(mine.folder, mine.folder)
 
 
 @pytest.mark.slow
@@ -279,38 +277,38 @@ def test_unfinished_and_single_frame_recordings_are_reported(mine: Recording, tm
     short = {key: whole[key] for key in ("format", "bench", "complete")} | {"complete": False}
     path.write_text(json.dumps(short))
     edit_line(mine, 4, calibration=None, start=None, problem="no reference yet", rms_rad=None)
-    summary, _ = write_report(mine.folder, tmp_path / "r.png", frames="3:4")
+    summary = write_report(mine.folder, tmp_path / "r.png", frames="3:4")
     found = dict(facts(summary))
     assert "not finished" in found["recorded"]
     assert found["frames"].startswith("3 ... 3 of 5 recorded; 0 lost")
     assert_drawn(tmp_path / "r.png")
-    summary, _ = write_report(mine.folder, tmp_path / "s.pdf", frames="4:")
+    summary = write_report(mine.folder, tmp_path / "s.pdf", frames="4:")
     assert dict(facts(summary))["reference"] == "none: these frames have no calibration"
 
 
 @pytest.mark.slow
-def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
+def test_residual_is_the_difference(mine: Recording, tmp_path: Path) -> None:
     """A plane of slope s on 7 x 5 lenslets has the RMS s sqrt((7^2 - 1) / 12); piston does not count."""
-    assert summary.statistics is not None
-    plane = 0.3 * np.arange(7.0) + 5.0
-    other = replace(summary, statistics=replace(summary.statistics, mean=summary.statistics.mean - plane))
-    residual = residual_of(summary, other)
+    plane, results = 0.3 * np.arange(7.0) + 5.0, tmp_path / "r.nc"
+    export_recording(mine.folder, "netcdf", results, ":2")
+    with xr.open_dataset(results) as found:
+        found.assign(wavefront=found["wavefront"] - plane).to_netcdf(tmp_path / "plane.nc")
+        found.assign(wavefront=found["wavefront"] * np.nan).to_netcdf(tmp_path / "unknown.nc")
+    residual = residual_of(mine.folder, tmp_path / "plane.nc", frames=":2")
     np.testing.assert_allclose(residual.rms_rad, 0.3 * np.sqrt((7**2 - 1) / 12))
     np.testing.assert_allclose(residual.views, np.broadcast_to(plane - plane.mean(), residual.views.shape), atol=1e-12)
     assert residual.sentence == "RMS of the difference at the views: least 0.600, most 0.600, mean 0.600 rad"
-    np.testing.assert_array_equal(residual_of(summary, summary).views, 0)
+    np.testing.assert_allclose(residual_of(results, results).views, 0, atol=1e-12)
     maps = maps_of(drawn(comparison_page(residual)))
     np.testing.assert_array_equal(
         maps.reshape(3, *residual.views.shape), [residual.mean, residual.other_mean, residual.views]
     )
+    assert_legible(drawn(comparison_page(replace(residual, name="$\\nothing$ ^_ " + 60 * "long "))))
     coarse = change_of(None, ("field.view_rows=1", "field.view_columns=1"))
     with pytest.raises(InputError, match="other views or lenslets"):
-        residual_of(summary, summarise(mine, None, lambda *_: None, change=coarse))
-    unknown = replace(
-        summary, statistics=replace(summary.statistics, mean=np.full_like(summary.statistics.mean, np.nan))
-    )
+        residual_of(mine.folder, results, frames=":1", change=coarse)
     with pytest.raises(InputError, match="has no lenslet in common"):
-        residual_of(summary, unknown)
+        residual_of(results, tmp_path / "unknown.nc")
 
 
 @pytest.mark.slow
@@ -318,12 +316,11 @@ def test_residual_is_the_difference(summary: Summary, mine: Recording) -> None:
 def test_command_compares_with_another_method(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
 ) -> None:
-    words = ("--beside", recording.folder, "--set", "registration.method=correlation", "--frames", ":2")
-    assert run(monkeypatch, "report", recording.folder, "--out", tmp_path / "r.pdf", *words) == 0
-    assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 4
+    words = ("--set", "registration.method=correlation", "--frames", ":2", "--plot", tmp_path / "r.pdf")
+    assert run(monkeypatch, "compare", recording.folder, recording.folder, *words) == 0
+    assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 1
     shown = capsys.readouterr().out
     assert "run minus run" in shown
-    assert "the report of 2 frames is in" in shown
     least, most, mean = (float(number) for number in re.findall(r"\d+\.\d{3}", shown)[-3:])
     assert 0 < least < mean < most  # a single shift per lenslet does not vary over the field
     changed = change_of(None, ("registration.method=correlation",))
