@@ -230,7 +230,7 @@ def main(out: Path) -> None:
     width, height, theme, percent = _SCREENS[0]
     for state, name in _IN_DOCS.items():
         picture = QImage(str(out / f"{width}x{height}-{theme}-{percent}" / f"{state}.png"))
-        small = picture.scaledToWidth(_DOCS_WIDTH, Qt.TransformationMode.SmoothTransformation)
+        small = picture.scaledToWidth(min(_DOCS_WIDTH, picture.width()), Qt.TransformationMode.SmoothTransformation)
         if not small.save(str(DOCS / f"{name}.png")):
             raise OSError(f"{DOCS / name}.png cannot be written")
     numbered(QImage(str(DOCS / "window.png"))).save(str(DOCS / "window_parts.png"))
