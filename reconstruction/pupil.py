@@ -26,14 +26,14 @@ class Pupil(Checked):
     shape: Annotated[
         Shape,
         Doc(
-            "fit: circle or annulus of the lit lenslets; all: no pupil; automatic: fit if the lit lenslets are round,"
-            " else all"
+            "Shape of the pupil. fit: circle or annulus around the lenslets with light; all: no pupil; automatic: fit"
+            " if these lenslets are round, all otherwise"
         ),
     ] = "automatic"
     center_x_m: Annotated[float, Ge(-1), Le(1), Doc("Centre, along the lattice's rows")] = 0.0
     center_y_m: Annotated[float, Ge(-1), Le(1), Doc("Centre, along the lattice's columns")] = 0.0
     radius_m: Annotated[float, Gt(0), Le(1), Doc("Radius of circle or annulus, half of a square's side")] | None = None
-    obscuration: Annotated[float, Ge(0), Le(0.95), Doc("Annulus: radius of the shadow over that of the edge")] = 0.0
+    obscuration: Annotated[float, Ge(0), Le(0.95), Doc("Shadow of an annulus, its radius over radius_m")] = 0.0
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
