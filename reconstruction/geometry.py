@@ -107,7 +107,7 @@ class Sensor(Checked):
     @property
     def circle(self) -> Pupil:
         """Circle or annulus of the Zernike modes: the pupil's, or that inscribed in a square or in the lattice."""
-        if self.pupil.radius_m is None:
+        if not self.pupil.is_bounded:
             return Pupil(shape="circle", radius_m=min(self.pupil_half_width_m))
         return replace(self.pupil, shape="circle") if self.pupil.shape == "square" else self.pupil
 

@@ -35,13 +35,18 @@ class Pupil(Checked):
     radius_m: Annotated[float, Gt(0), Le(1), Doc("Radius of circle or annulus, half of a square's side")] | None = None
     obscuration: Annotated[float, Ge(0), Le(0.95), Doc("Shadow of an annulus, its radius over radius_m")] = 0.0
 
+    @property
+    def is_bounded(self) -> bool:
+        """True if it has an edge: it is given, or was fitted."""
+        return self.shape in {"circle", "annulus", "square"}
+
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
         if self.shape == "automatic" and self.radius_m is not None:
             yield "shape", 'must be "circle", "annulus" or "square" with a radius'
-        if self.shape in {"circle", "annulus", "square"} and self.radius_m is None:
+        if self.is_bounded and self.radius_m is None:
             yield "radius_m", f'is missing, which shape = "{self.shape}" needs'
-        if (self.obscuration > 0) != (self.shape == "annulus"):
+        if self.is_bounded and (self.obscuration > 0) != (self.shape == "annulus"):
             yield "obscuration", f'must be {"above 0" if self.shape == "annulus" else "0"} with shape = "{self.shape}"'
 
     @classmethod
@@ -83,7 +88,7 @@ class Pupil(Checked):
 
     def contains(self, at_m: Floats) -> Booleans:
         """True for positions (..., xy) in the pupil; for all before the pupil is fitted."""
-        if self.radius_m is None:
+        if not self.is_bounded:
             return np.ones(at_m.shape[:-1], np.bool_)
         x, y = np.moveaxis(self.normalised(at_m), -1, 0)
         if self.shape == "square":
@@ -98,7 +103,7 @@ class Pupil(Checked):
     @property
     def edges_m(self) -> Floats:
         """Edges of pupil and shadow as pairs of ends (2 * segment, xy)."""
-        if self.radius_m is None:
+        if self.radius_m is None or not self.is_bounded:
             return np.zeros((0, 2))
         turn = np.exp(2j * np.pi * np.arange(73) / 72)
         if self.shape == "square":
@@ -112,7 +117,7 @@ class Pupil(Checked):
     @property
     def in_words(self) -> str:
         """Size and shadow, for a caption."""
-        if self.radius_m is None:
+        if self.radius_m is None or not self.is_bounded:
             return ""
         shadow = f", obscuration {100 * self.obscuration:.0f} %" if self.obscuration else ""
         return f"{'square ' * (self.shape == 'square')}pupil {2e3 * self.radius_m:.2f} mm{shadow}"

@@ -14,6 +14,8 @@ from app.files import require_suffix
 from app.images import IMAGE_FORMATS, name_of
 from app.progress import counted
 
+_TURNED = 1e-3  # rad; by less, the axes are those of the camera
+
 if TYPE_CHECKING:
     import xarray as xr
     from numpy.typing import NDArray
@@ -91,7 +93,8 @@ def reconstruct(
     for note in filter(None, notes):
         terminal.remind(f"note: {note}")
     print_views(wavefront)
-    _print_zernikes(zernikes, wavefront, f", without {remove}" if remove else "")
+    rotation_rad = 0.0 if reconstructor.bench.lattice is None else reconstructor.bench.lattice.rotation_rad
+    _print_zernikes(zernikes, wavefront, f", without {remove}" if remove else "", rotation_rad)
     if refine:
         changes = ", ".join(f"{change_rad:.4f}" for change_rad in changes_rad)
         refined = f"refined in {counted(len(changes_rad), 'round')}, changing the wavefront by {changes} rad RMS"
@@ -114,7 +117,7 @@ def _refined(reconstructor: OfflineReconstructor, image: NDArray[Any], rounds: i
         return reconstructor.refined(image, rounds, seen=note_round), changes_rad
 
 
-def _print_zernikes(zernikes: xr.Dataset, wavefront: Wavefront, without: str) -> None:
+def _print_zernikes(zernikes: xr.Dataset, wavefront: Wavefront, without: str, rotation_rad: float) -> None:
     """Print the Zernike coefficients of the middle view, its RMS and PV in all units, and the pupil."""
     from app.results import zernike_table
     from app.results.figures import place_of_view
@@ -123,14 +126,18 @@ def _print_zernikes(zernikes: xr.Dataset, wavefront: Wavefront, without: str) ->
     view, circle = (field.view_rows // 2, field.view_columns // 2), sensor.circle
     inside = circle.contains(sensor.lenslet_centers_m)
     valid = wavefront.displacement.valid
-    place, kind = place_of_view(field, *view), "" if sensor.pupil.radius_m else "inscribed in the lattice, "
-    terminal.print_sentence(f"Zernike coefficients at {place}: {zernikes.attrs['order']}")
+    place, size = place_of_view(field, *view), circle.in_words
+    size = size if sensor.pupil.is_bounded else size.replace("pupil", "circle inscribed in the lattice:")
+    turned = f"; axes of the lattice, turned by {rotation_rad:+.3f} rad from the camera's" * (
+        abs(rotation_rad) > _TURNED
+    )
+    terminal.print_sentence(f"Zernike coefficients at {place}: {zernikes.attrs['order']}{turned}")
     terminal.print_table(
         None,
         ("mode", "nm", "error", "waves"),
         zernike_table.printed_rows(zernikes, view, sensor),
         (
-            f"{kind}{circle.in_words}: {(valid & inside).sum()} of the {valid.sum()} valid lenslets lie in it",
+            f"{size}, in which {(valid & inside).sum()} of the {valid.sum()} valid lenslets lie",
             f"at {place}{without}: {zernike_table.view_sentence(wavefront.views[view], sensor)}",
         ),
     )

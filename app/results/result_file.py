@@ -144,7 +144,7 @@ def _geometry(bench: Bench) -> dict[str, Any]:
         "axes": "x runs along the rows of the lattice, y along its columns: the camera's axes (x to the right, y down),"
         " turned by lattice_rotation_rad, positive from x to y",
         **of_lattice,
-        "pupil": pupil.shape if pupil.radius_m else "all lenslets",
+        "pupil": pupil.shape if pupil.is_bounded else "all lenslets",
         "pupil_center_m": [circle.center_x_m, circle.center_y_m],
         "pupil_radius_m": circle.radius_m,
         "pupil_obscuration": circle.obscuration,

@@ -66,6 +66,16 @@ def test_few_lost_lenslets_leave_a_round_pupil_as_it_is() -> None:
     assert found.radius_m == pytest.approx(10 * PITCH_M, rel=0.01)
 
 
+@pytest.mark.parametrize("shape", ["all", "fit"])
+def test_shape_without_an_edge_ignores_the_size_of_another(shape: str) -> None:
+    """`--set pupil.shape=all` changes a bench that has the pupil which was found."""
+    pupil = Pupil(shape=shape, radius_m=1e-3, obscuration=0.2)  # type: ignore[arg-type] # of the parameters
+    sensor = sensor_with("square", pupil)
+    assert sensor.is_in_pupil.all()
+    assert (pupil.in_words, pupil.edges_m.size) == ("", 0)
+    assert sensor.circle.radius_m == min(sensor.pupil_half_width_m)
+
+
 def test_circle_that_the_lattice_cuts_is_no_pupil() -> None:
     sensor = replace(SQUARE, lenslet_rows=15, lenslet_columns=15)
     lit = replace(sensor, pupil=pupil_at(0, 0, 9)).is_in_pupil

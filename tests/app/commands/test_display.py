@@ -56,6 +56,12 @@ def test_answering_display_is_used(monkeypatch: pytest.MonkeyPatch, wayland: str
     assert "QT_QPA_PLATFORM" not in os.environ
 
 
+def test_qt_of_other_programs_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYQTGRAPH_QT_LIB", "PySide6")
+    use_display()
+    assert os.environ["PYQTGRAPH_QT_LIB"] == "PyQt6"
+
+
 def test_display_of_another_computer_is_believed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("WAYLAND_DISPLAY", "gone")
     monkeypatch.setenv("DISPLAY", "server:0")

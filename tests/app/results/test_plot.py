@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from support.gui_bench import FIELD
-from support.wavefronts import bowl
+from support.wavefronts import bowl, modal
 
 from app.results.figures import views_figure
 from reconstruction.arrays import Floats
@@ -68,3 +68,10 @@ def test_unknown_views_are_drawn_without_numbers() -> None:
     assert all(np.isnan(each).all() for each in maps)
     for numbers in ("RMS nan  PV nan rad", "Strehl nan  peak nan"):
         assert sum(numbers in title for title in titles) == 9
+
+
+def test_single_wavefront_for_the_whole_field_has_no_curve_over_separation() -> None:
+    """It would be flat: a single correction leaves nothing."""
+    titles = maps_and_titles(views_figure(modal(np.array([[0.0], [0.3], [0.0], [0.5]]))))[1]
+    assert any(title.startswith("modulation transfer") for title in titles)
+    assert not any("single correction" in title for title in titles)
