@@ -195,7 +195,7 @@ DAMAGES: dict[str, tuple[Callable[[Recording], object], str]] = {
     "lost lines": (_lose_lines, "4 of 9 frames have no line; svwfs recover"),
     "no calibration": (lambda mine: shutil.rmtree(mine.folder / "calibrations"), "calibrations"),
     "cut short": (_edit_run(complete=False), "is not complete"),
-    "no number of frames": (_edit_run(frames=None), "does not tell the number of frames"),
+    "no number of frames": (_edit_run(frames=None), "does not say how many frames it has"),
     "no frame": (_edit_run(frames={"recorded": 0}), "holds no frame"),
     "no recording": (lambda mine: shutil.rmtree(mine.folder), "no such folder"),
 }

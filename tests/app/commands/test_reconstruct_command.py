@@ -218,4 +218,4 @@ def test_unjudged_misfit_and_a_repeated_reference_are_told(
         assert ("note: misfit is not checked: " in capsys.readouterr().out) == is_told
     command = reconstruct_foreign(tmp_path / "again.nc")
     assert run(monkeypatch, command[0], FRAMES / "square_reference.tif", *command[2:]) == 0
-    assert "doubtful: the frame is the reference itself" in capsys.readouterr().out
+    assert "doubtful: frame and reference are the same image" in capsys.readouterr().out

@@ -67,7 +67,7 @@ def test_reference_as_frame_is_right() -> None:
 def test_reference_itself_as_frame_is_flagged(form: type[np.number[Any]]) -> None:
     quality, _ = measured(exposed(light()[0], 1).astype(form))
     assert quality.faults == Fault.FROZEN
-    assert "the frame is the reference itself" in quality.sentence
+    assert "frame and reference are the same image" in quality.sentence
 
 
 @pytest.mark.slow

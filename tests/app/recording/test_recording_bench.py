@@ -102,7 +102,7 @@ def test_unusable_recording_is_refused_on_opening(small_toml: Path, steady: Reco
         with pytest.raises(InputError, match=sentence):
             open_devices(parse_bench(bench_text(small_toml, folder), "bench"), lambda _: None)
     other = parse_bench(bench_text(small_toml, steady.folder), "bench", ("sensor.pixel_pitch_m=15e-6",))
-    with pytest.raises(InputError, match=r"pixel_pitch_m = 1\.5e-05, but that of recording run is 1\.6e-05"):
+    with pytest.raises(InputError, match=r"pixel_pitch_m = 1\.5e-05, but recording run reports 1\.6e-05"):
         open_devices(other, lambda _: None)
 
 

@@ -158,7 +158,7 @@ def test_saturated_pixels_are_refused() -> None:
 def test_few_lit_pixels_are_refused() -> None:
     point = np.zeros((100, 100), np.float32)
     point[40:50, 40:50] = 50_000
-    with pytest.raises(ReconstructionError, match="only 100 pixels are lit"):
+    with pytest.raises(ReconstructionError, match="only 100 pixels have light"):
         Exposures(point, FULL)
 
 
