@@ -27,7 +27,7 @@ from reconstruction.layers.layer_solver import FrameEquations, LayerModes, Layer
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample, LayeredWavefronts, most_probable
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
-from reconstruction.registration import prepare_registration
+from reconstruction.registration import chosen, prepare_registration
 from reconstruction.registration.response import WarpRegistration, fitting_model, linear_response
 from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 from reconstruction.runtime.threads import one_blas_thread
@@ -209,6 +209,7 @@ class Reconstructor:
     def _prepare_estimators(self, light: Image, registration: RegistrationSettings) -> None:
         """Prepare registration and solve."""
         reconstruction = self.reconstruction
+        registration, self.method_reason = chosen(registration, self.subimages)
         if reconstruction.sample == "layers" and (obstacle := obstacle_to_layers(reconstruction, registration)):
             raise ReconstructionError(f'reconstruction.sample = "layers" is impossible with {obstacle}: change either')
         self._prepared = self._choose(light, registration)

@@ -13,8 +13,8 @@ from reconstruction.runtime.threads import THREADS
 PupilBasis = Literal["legendre", "zernike"]
 SampleModel = Literal["automatic", "free", "layers"]
 Warp = Literal["translation", "affine", "quadratic", "cubic", "quartic"]
-Method = Literal["gauss_newton", "correlation", "correlation_fft", "centroids", "itk_affine"]
-WARPING: tuple[Method, ...] = ("gauss_newton",)  # methods that fit the warp of the settings
+Method = Literal["automatic", "gauss_newton", "centroids", "itk_affine"]
+WARPING: tuple[Method, ...] = ("automatic", "gauss_newton")  # methods that may fit the warp of the settings
 PUPIL_MODES = range(3, 1001)  # allowed numbers
 FIELD_MODES: dict[Warp, int] = {"translation": 1, "affine": 3, "quadratic": 6, "cubic": 10, "quartic": 15}
 
@@ -26,10 +26,10 @@ class RegistrationSettings(Checked):
     method: Annotated[
         Method,
         Doc(
-            "Registration of the subimages with the reference: Gauss-Newton is the default; the others come from the"
-            " paper and related software, and some are too slow for live use"
+            "Registration of subimages with the reference: Gauss-Newton for pictures, centroids for spots, automatic"
+            " for the one that suits the reference; the paper's ITK is too slow for live use"
         ),
-    ] = "gauss_newton"
+    ] = "automatic"
     warp: (
         Annotated[
             Warp,
@@ -43,9 +43,17 @@ class RegistrationSettings(Checked):
     rotation: Annotated[bool, Doc("Rotation is fitted, Gauss-Newton only; thin layers cause none")] = False
     threads: Annotated[int, Ge(1), Le(64), Doc("Number of threads, Gauss-Newton only")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
-    star_rows: Annotated[int, Ge(1), Le(99)] = STARS
+    star_rows: Annotated[
+        int, Ge(1), Le(99), Doc("Centroids: stars of a pinhole mask; only those in the field count")
+    ] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
     star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
+
+    @property
+    def named_method(self) -> Method:
+        """Method, as far as the settings alone determine it: those of a warp ask for Gauss-Newton."""
+        asks_for_warp = self.method == "automatic" and (self.warp is not None or self.rotation)
+        return "gauss_newton" if asks_for_warp else self.method
 
     @property
     def fits_warps(self) -> bool:

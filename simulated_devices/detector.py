@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from drivers.interface import BadValue
 from reconstruction.arrays import Image
 from simulated_devices.optics.compiled import compiled
 from simulated_devices.settings import Amplifier, SimulatedCameraSettings
@@ -249,6 +250,10 @@ class Detector:
     """The sensor chip and its read-out."""
 
     def __init__(self, settings: SimulatedCameraSettings, *, seed: int) -> None:
+        if settings.offset_counts >= 2**settings.bits:  # no fault of a bench, whose frames may be files
+            raise BadValue(
+                f"camera.offset_counts = {settings.offset_counts:g} must be below 2^bits = {2**settings.bits}"
+            )
         self._settings = settings
         self._seed = seed
 

@@ -160,8 +160,6 @@ class SimulatedCameraSettings(Checked):
             yield "em_gain", f"must be 1 ... {self.maximum_em_gain:g} (maximum_em_gain)"
         if self.em_gain != 1 and self.amplifier != "em":
             yield "em_gain", 'needs amplifier = "em"'
-        if self.offset_counts >= 2**self.bits:
-            yield "offset_counts", "must lie on the camera's scale"
 
     def exposure_range_s(self, amplifier: Amplifier, readout_speed: int) -> Range:
         """Exposure times (s) that the camera allows."""

@@ -19,7 +19,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.polynomials import legendre_products, zernike_products
 from reconstruction.modes.pupil_modes import BASES, PupilModes, polynomial_modes, pupil_modes
 from reconstruction.registration import prepare_registration
-from reconstruction.registration.correlation import Correlation
+from reconstruction.registration.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import PupilBasis, RegistrationSettings
 
@@ -39,9 +39,9 @@ def monomials(sensor: Sensor, count: int | None) -> PupilModes:
     return polynomial_modes(sensor, products)
 
 
-def own_correlation(reference: ReferenceSubimages, field: Field) -> Correlation:
+def own_centroids(reference: ReferenceSubimages, field: Field) -> Centroids:
     assert field == FIXED.field
-    return Correlation(reference)
+    return Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1))
 
 
 def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: SimulatedFrames) -> None:
@@ -60,9 +60,10 @@ def test_own_basis_of_the_same_polynomials_gives_the_same_wavefront(images: Simu
 @pytest.mark.slow
 @pytest.mark.long
 def test_own_registration_is_used_for_frame_and_refinement(images: SimulatedFrames) -> None:
-    bench = svwfs.load_bench("small_demo", "registration.method=correlation", "reconstruction.pupil_modes=10")
+    one_star = ("registration.method=centroids", "registration.star_rows=1", "registration.star_columns=1")
+    bench = svwfs.load_bench("small_demo", *one_star, "reconstruction.pupil_modes=10")
     usual = svwfs.reconstructor(bench, images.reference, dark=images.dark)
-    own = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, registration=own_correlation)
+    own = svwfs.reconstructor(FIXED, images.reference, dark=images.dark, registration=own_centroids)
     np.testing.assert_array_equal(own(images.frames[0]).views, usual(images.frames[0]).views)
     of_own, of_usual = (svwfs.refine(each, images.frames[0], 1).views for each in (own, usual))
     np.testing.assert_array_equal(of_own, of_usual)

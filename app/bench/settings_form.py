@@ -23,7 +23,6 @@ _TYPED_PREFIXES = {**_PREFIXES, "u": 1e-6, "\N{GREEK SMALL LETTER MU}": 1e-6}
 _WORDS = {"rms": "RMS", "pv": "PV", "em": "EM", "center": "centre"}
 NAMES = {  # of the values of settings, for people
     "gauss_newton": "Gauss-Newton",
-    "correlation_fft": "correlation (FFT)",
     "itk_affine": "affine (ITK)",
     **{name: basis.title for name, basis in BASES.items()},
     **{kind.driver: kind.name for kinds in DRIVERS.values() for kind in kinds.values() if kind.name},

@@ -28,7 +28,7 @@ def compare(
 
     Example: svwfs compare before.nc after.nc --remove tilt,defocus --plot difference.png
 
-    Example: svwfs compare square stars --set registration.method=correlation --plot compared.pdf
+    Example: svwfs compare square stars --set registration.warp=affine --plot compared.pdf
     """
     options.check_files(sources=[source, other], plot=plot, overwrite=overwrite)
     from app.results.comparison import residual_of

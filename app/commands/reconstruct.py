@@ -93,6 +93,8 @@ def reconstruct(
     for note in filter(None, notes):
         terminal.remind(f"note: {note}")
     print_views(wavefront)
+    if reconstructor.method_sentence:
+        terminal.print_sentence(reconstructor.method_sentence)
     rotation_rad = 0.0 if reconstructor.bench.lattice is None else reconstructor.bench.lattice.rotation_rad
     _print_zernikes(zernikes, wavefront, f", without {remove}" if remove else "", rotation_rad)
     if refine:

@@ -71,7 +71,7 @@ class Estimator:
             made.subimages,
             made.registration,
             camera=made.camera,
-            of_reference=sample_quality(made.subimages)
+            of_reference=(sample_quality(made.subimages) if made.registration.fits_warps else Quality())
             | given.linearity_quality
             | linearity_quality(made.camera.noise.curve, "reference")
             | of_reference
@@ -183,14 +183,25 @@ def _beside(previous: Frame | None, frame: Frame) -> Quality:
 def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
     """Say which displacements mask or warp leave out, and what they follow from; empty if all are shown.
 
-    Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general.
+    Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general, also if these are
+    registered as spots.
     """
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
-    knows_response = reconstruction.response and registration.fits_warps and not registration.rotation
     bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
-    if reconstruction.method == "modal" and knows_response:
+    if registration.method == "centroids" or (
+        reconstruction.method == "modal"
+        and reconstruction.response
+        and registration.fits_warps
+        and not registration.rotation
+    ):
         bias = ""
-    return "; ".join(filter(None, [_left_out(reconstructor, sample), bias]))
+    spots = method_sentence(reconstructor) if sample is None and registration.method == "centroids" else ""
+    return "; ".join(filter(None, [spots, _left_out(reconstructor, sample), bias]))
+
+
+def method_sentence(reconstructor: Reconstructor) -> str:
+    """Say which registration the reference has chosen, and why; empty if the settings name it."""
+    return reconstructor.method_reason and f"registration: {reconstructor.method_reason}"
 
 
 _UNSEEN: dict[str | None, str] = {  # by warps

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import ROUNDS, Estimator, mask_sentence
+from app.measurement.estimator import ROUNDS, Estimator, mask_sentence, method_sentence
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise, TransferCurve
@@ -207,6 +207,11 @@ class OfflineReconstructor:
     def mask_sentence(self, wavefront: Wavefront) -> str:
         """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
         return mask_sentence(self._prepared().reconstructor, wavefront.sample)
+
+    @property
+    def method_sentence(self) -> str:
+        """Say which registration the reference has chosen, and why; empty if the settings name it."""
+        return method_sentence(self._prepared().reconstructor)
 
     def layers(self, wavefront: Wavefront) -> FrameEquations:
         """Normal equations of a wavefront's displacements for layers at any distance."""

@@ -11,7 +11,7 @@ from typing import IO, Any
 
 from app.bench.bench_files import WRITTEN_BY_NEWER
 from app.bench.config import parse_bench
-from app.errors import InputError
+from app.errors import InputError, RunError
 from app.files import (
     RECORDING_PARTS,
     check_readable,
@@ -135,9 +135,17 @@ def _unusable(folder: Path, error: OSError | ValueError) -> InputError:
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock an open file until it is closed or the process ends; `InputError` if it is locked already."""
-    if not has_locked(file.fileno()):
-        raise InputError(f"{file.name}: is still being recorded, or recovered by another program")
+    """Lock an open file until it is closed or the process ends.
+
+    `InputError` if it is locked already, `RunError` if the disk has no locks, as some network shares.
+    """
+    try:
+        if has_locked(file.fileno()):
+            return
+    except OSError as error:
+        remedy = "use a folder on this computer's own disk, or mount the share with file locks"
+        raise RunError(f"{file.name}: cannot be locked: {in_words(error)}: {remedy}") from error
+    raise InputError(f"{file.name}: is still being recorded, or recovered by another program")
 
 
 _STAMP = re.compile(r"\d{8}-\d{6}(-kept)?(-\d+)?(?=-|$)")  # of the folders that the window makes

@@ -18,7 +18,7 @@ import numpy as np
 
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import Estimator, mask_sentence
+from app.measurement.estimator import Estimator, mask_sentence, method_sentence
 from app.measurement.measurement import SKIPPED, Assumptions, LightState, Measurement, RefinementState
 from app.recording.frame_array import DamagedFrame
 from app.recording.frame_lines import FrameLine, assumed_sample
@@ -100,10 +100,11 @@ class Reprocessing:
                 yield _recorded(line, made)
 
     def mask_sentence(self, made: Measurement) -> str:
-        """Say what the mask hides of the newest frame; see `estimator.mask_sentence`."""
+        """Say which registration was chosen, and what the mask hides of the newest frame; see `estimator`."""
         if self._in_force is None or made.wavefront is None:
             return ""
-        return mask_sentence(self._in_force.estimator.reconstructor, made.wavefront.sample)
+        prepared = self._in_force.estimator.reconstructor
+        return "; ".join(filter(None, (method_sentence(prepared), mask_sentence(prepared, made.wavefront.sample))))
 
     def _prepare(self, number: int) -> _InForce:
         """Prepare a calibration of the recording, perhaps changed."""

@@ -223,7 +223,7 @@ def _create_lines(folder: Path) -> IO[bytes]:
     try:
         lock(lines)
         check_free(folder)
-    except InputError:
+    except (InputError, RunError):
         lines.close()
         raise
     return lines

@@ -259,7 +259,7 @@ def _average(average: Average) -> str:
 
 def _method(bench: Bench, summary: Summary) -> str:
     registration, reconstruction = bench.registration, bench.reconstruction
-    parts: list[str] = [registration.method]
+    parts: list[str] = [registration.named_method]
     if registration.fits_warps:
         parts.append(f"warp {registration.warp or 'automatic'}")
     parts.append(reconstruction.method)

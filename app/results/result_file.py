@@ -28,6 +28,9 @@ VIEW, LENSLET = ("view_row", "view_column"), ("lenslet_row", "lenslet_column")
 PIECE = 32  # frames
 _MARK = b"svwfs-crc32 "  # at the end of a file, beyond what HDF5 reads, with the CRC-32 of all before as eight digits
 _DIGITS, _BLOCK = 8, 1 << 20
+# Of HDF5: some shares have none, and programs that only look at a file hold one. Files are replaced in one piece, and
+# have a checksum.
+_NO_LOCK: Mapping[str, Any] = {"locking": False}
 _MORE_BYTES = 16 << 10  # of a variable, for its index
 
 
@@ -40,7 +43,7 @@ def open_results(path: Path | str) -> xr.Dataset:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about files that are odd, which the next lines find
-            dataset = xr.open_dataset(path, engine="h5netcdf")
+            dataset = xr.open_dataset(path, engine="h5netcdf", driver_kwds=_NO_LOCK)
     except Exception as error:  # damaged files make HDF5 raise anything
         raise InputError(f"{path}: cannot be opened as results: it is not a NetCDF-4 file, or is damaged") from error
     if "wavefront" not in dataset:
@@ -160,7 +163,7 @@ def _append(path: Path, piece: xr.Dataset) -> None:
         for variable in of_frames.values():
             chunks = -(-variable.shape[0] // PIECE) + 1
             room.write(bytes(chunks * PIECE * math.prod(variable.shape[1:]) * variable.dtype.itemsize + _MORE_BYTES))
-    with h5netcdf.File(path, "r+") as file:
+    with h5netcdf.File(path, "r+", **_NO_LOCK) as file:
         first = file.dimensions[FRAME].size
         sizes = {name: dimension.size for name, dimension in file.dimensions.items() if name != FRAME}
         require_alike(sizes, {name: size for name, size in piece.sizes.items() if name != FRAME})

@@ -38,6 +38,7 @@ from reconstruction.geometry import Sensor, lenslet_centers
 from reconstruction.modes.field_modes import PolynomialModes
 from reconstruction.modes.polynomials import number_up_to
 from reconstruction.modes.pupil_modes import pupil_modes
+from reconstruction.quality.lenslet_shift import FEWEST, LensletShift
 from reconstruction.quality.verdict import NO_FAULT, Fault, Quality
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings, Warp
@@ -127,6 +128,7 @@ class QualityChecker:
         a_good_one = np.take_along_axis(pixel, np.argmax(is_good, axis=1)[:, None], axis=1)
         floats = (each.astype(np.float32) for each in (is_good, self._stray.gaps, dark, light + dark))
         self._samples = Samples(np.where(is_good, pixel, a_good_one), *floats)
+        self._lenslet_shift = LensletShift(reference, camera.dark)
         self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
 
     def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
@@ -143,6 +145,14 @@ class QualityChecker:
     def __call__(self, frame: Counts, displacement: Displacement) -> Quality:
         """Judge a frame (row, column), counts, by its displacements."""
         reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(frame, displacement))
+        if np.count_nonzero(self._lit & ~displacement.valid) >= FEWEST:  # those that the light has left
+            moved_px = self._lenslet_shift(frame)
+            if moved_px.any():
+                x, y = np.rint(moved_px).astype(int)
+                reasons[Fault.RANGE] = (
+                    f"the lit lenslets are those of the reference, displaced by ({x:+d}, {y:+d}) px: images lie in the"
+                    " cells of other lenslets; move the frame back by as much, or take a reference in this position"
+                )
         return Quality(reasons, self._unjudged) | self.of_reference
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:

@@ -1,167 +1,325 @@
-"""Registration by the centroids of stars: the paper's reference method, for a pinhole mask.
+"""Registration by centroids of spots: one spot in each lenslet, or a grid of stars behind a pinhole mask.
 
-A star's displacement is the difference of its centroids in frame and reference. A small window on the subpixel grid
-follows each star: the background (median of its border) and a fraction of the star's height are subtracted, negative
-values are cut off, and the window moves to the centre of gravity until it stays.
+A spot lies where the image, smoothed by a Gaussian, is brightest: there the centroid vanishes that is weighted by a
+Gaussian about it (windowed centroid: Bertin and Arnouts 1996, Astron. Astrophys. Suppl. 117, 393). The weight's
+variance is twice the spot's, so that the scatter is 1.13 times the Cramer-Rao bound, in photon noise as in read noise.
+Pixels are weighted, not interpolated: a uniform background does not move a spot, nor does its place on the pixels, and
+the noise of the pixels gives the error bars.
 """
 
-from typing import NamedTuple
+import math
+from typing import NamedTuple, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
-from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod, diagonal_covariance
+from reconstruction.arrays import Booleans, Floats, Image, median
+from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod
 from reconstruction.errors import ReconstructionError
+from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Field, centered_steps, require
-from reconstruction.modes.field_modes import SampledModes
-from reconstruction.registration.correlation import correlation_spectrum, cross_correlation, normalised
-from reconstruction.registration.subimages import MISFIT, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
+from reconstruction.registration.subimages import DARK_CONTRAST, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.runtime.opencv import cv2
 from reconstruction.settings import RegistrationSettings
 
-_THRESHOLD = 0.1  # of the star's height above the background
-_WINDOW_BLURS = 1.5  # largest half width of a window over the first zero of a star's image
-_ITERATIONS = 12
-_TOLERANCE_PX = 2e-3
-_CONVERGED_PX = 0.05  # largest last step of a converged window
-_FAINT = 0.2  # of the median star's height; fainter stars are lost
+T = TypeVar("T", bound=np.generic)
+
+_WEIGHT = math.sqrt(2)  # sigma of the weight over the spot's
+_REACH = 4.0  # sigmas of the weight, beyond which light is left out
+_COMPARED = 2.0  # sigmas of the weight, within which frame and reference are compared
+_PER_BLUR, _PIXEL = 0.45, 1 / 12  # sigma of a diffraction-limited spot over its first zero; variance of a pixel
+_PASSES = 4  # that measure the spots
+_LEAST_SIGMA_PX, _MOST_SIGMA = 0.3, 1 / 6  # of spots; the latter over the distance between two
+_ITERATIONS, _TOLERANCE_PX, _LAST_PX = 15, 1e-4, 0.01
+_FAR_PX = 2.0  # from the brightest pixel of the smoothed image, beyond which a spot is another one
+_CERTAIN = 0.2  # standard error over the weight's sigma; larger ones are those of peaks of the noise
+_MISFIT = 0.7  # residual over contrast above which two spots differ, noise aside
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
+_EXPECTED = 1 / 3  # of the gap between stars, within which each lies in the reference
+_TINY = np.finfo(np.float32).tiny
+_FITTED = 4  # numbers fitted to a spot: position, gain and offset
+_GAUSSIAN = 0.975  # correlation of the mean subimage with a Gaussian, noise aside, above which it is a spot
 
 
 def prepare(
     reference: ReferenceSubimages, settings: RegistrationSettings, field: Field, _model: LensletModel | None
 ) -> RegistrationMethod:
-    """Prepare the method `centroids` for the stars of the settings."""
+    """Prepare the method `centroids` for those stars of the settings that lie in the field."""
     spacing = settings.star_spacing_m / field.half_width_m
-    columns, rows = centered_steps(settings.star_columns), centered_steps(settings.star_rows)
+    x, y = (centered_steps(count) * spacing for count in (settings.star_columns, settings.star_rows))
     try:
-        return Centroids(reference, star_x=columns * spacing, star_y=rows * spacing)
+        return Centroids(reference, star_x=x[np.abs(x) <= 1], star_y=y[np.abs(y) <= 1])
     except ValueError as error:
         raise ReconstructionError(f"registration.star_spacing_m does not suit the lenslets: {error}") from error
 
 
-class _Stars(NamedTuple):
-    """L lenslets x S stars in windows of N pixels."""
+def spot_sigma_px(reference: ReferenceSubimages) -> float:
+    """Sigma of the spots if each lit lenslet of a reference shows a single one; else 0."""
+    try:
+        found = Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1))
+    except (ReconstructionError, ValueError):
+        return 0.0
+    return found.sigma_px if found.likeness() > _GAUSSIAN else 0.0
 
-    position_px: Floats  # centroids about the lenslet's centre, lattice frame, (L, S, xy)
-    window: Floats  # light in the window about the centroid, less the background, (L, S, N)
-    height: Floats  # of the star above the background, (L, S)
-    step_px: Floats  # the last step, (L, S)
+
+class _Spots(NamedTuple):
+    """Spots of an image, K = L lenslets x S stars."""
+
+    position_px: Floats  # on the camera, (K, xy)
+    corner: NDArray[np.intp]  # first pixel of the stamp, (K, xy)
+    stamp: Floats  # light of the pixels about each spot, (K, n, n)
+    curvature: Floats  # of the smoothed image at its peak; without background and noise, (K, xy, xy)
+    is_peak: Booleans  # it is one, near where it was looked for, (K,)
+
+    @property
+    def brightness(self) -> Floats:
+        """Mean curvature, counts: no background changes it, (K,)."""
+        return np.asarray(np.trace(self.curvature, axis1=1, axis2=2) / 2)
 
 
 class Centroids:
-    """Registration by stars, whose positions in the reference are found when prepared."""
+    """Registration by spots, whose size and positions in the reference are found when prepared."""
 
     def __init__(self, reference: ReferenceSubimages, *, star_x: Floats, star_y: Floats) -> None:
         """Prepare for stars at all star_x (column,) and star_y (row,), normalised and ascending.
 
-        Raise `ReconstructionError` if the reference shows no stars.
+        A single star may lie anywhere in its cell. `ReconstructionError` if the reference shows no stars.
         """
         for name, position in (("star_x", star_x), ("star_y", star_y)):
-            require({f"{name} must lie in the field, -1 ... 1": bool(np.all(np.abs(position) <= 1))})
-        blur_px = reference.blur_px
-        gaps = np.concatenate([np.diff(star_x), np.diff(star_y)]) * reference.half_width_px
-        self._half_px = min(gaps.min(initial=np.inf) / 2, _WINDOW_BLURS * blur_px)  # of the window
+            require(
+                {f"{name} must lie in the field, -1 ... 1": position.size > 0 and bool(np.all(np.abs(position) <= 1))}
+            )
+        gaps_px = np.concatenate([np.diff(star_x), np.diff(star_y)]) * reference.half_width_px
+        self._gap_px = float(gaps_px.min(initial=reference.cell_height_px))  # between two spots
         require(
-            {"stars must lie at least two pixels' and a lenslet's blur apart": self._half_px >= max(blur_px / 2, 1)}
+            {
+                "stars must lie at least two pixels' and a lenslet's blur apart": self._gap_px
+                >= max(reference.blur_px, 2)
+            }
         )
-        self._reference, self._modes = reference, SampledModes(star_x, star_y)
-        self._offset_px, self._border = _window(self._half_px)
-        light = reference.light.reshape(-1, reference.width, reference.width)
-        self._spectrum = correlation_spectrum(normalised(light))
-        # Whole-subimage shifts are searched that leave the outermost star inside the cell.
-        outermost_px = np.abs(np.concatenate([star_x, star_y])).max() * reference.half_width_px
-        self._search = max(int(reference.reach_px - outermost_px), 0)
-        nominal_px = np.stack(self._modes.nodes, axis=-1) * reference.half_width_px
-        start_px = np.broadcast_to(nominal_px, (len(light), *nominal_px.shape))
-        self._stars = self._follow(reference.spline_coefficients, start_px)
-        self._known = self._are_stars(self._stars, start_px)
-        if not np.mean(self._known[reference.lit].all(axis=1)) > 1 - _STARLESS_FRACTION:
+        self._reference = reference
+        sampled = SampledModes(star_x, star_y)
+        self._modes: FieldModes = LegendreModes(1) if sampled.count == 1 else sampled
+        self._nominal_px = np.stack(sampled.nodes, axis=-1) * reference.half_width_px  # lattice frame, (S, xy)
+        # Whole-pixel shifts (C, xy) that leave all stars inside the cell, and where these lie then, (L, C, S).
+        reach_px = max(reference.reach_px - np.abs(self._nominal_px).max(), 0.0)
+        self._shifts_px = reference.offset_px[np.abs(reference.offset_px).max(axis=1) <= reach_px]
+        self._places = self._index(self._on_camera(self._shifts_px[:, None] + self._nominal_px))
+
+        self.sigma_px = math.hypot(_PER_BLUR * reference.blur_px, math.sqrt(_PIXEL))
+        for _ in range(_PASSES):
+            self._spots = self._find(reference.image, is_reference=True)
+            self.sigma_px = self._measured_sigma_px()
+        self._spots = self._find(reference.image, is_reference=True)
+        lit = np.repeat(reference.lit, len(self._nominal_px))
+        self._faintest = DARK_CONTRAST * median(self._spots.brightness[lit])
+        self._known = self._spots.is_peak & (self._spots.brightness > self._faintest) & ~self._has_left(self._spots)
+        if len(self._nominal_px) > 1:
+            off_px = self._spots.position_px - self._on_camera(self._nominal_px).reshape(-1, 2)
+            self._known &= np.abs(off_px).max(axis=1) < _EXPECTED * self._gap_px
+        if not np.mean(self._by_lenslet(self._known)[reference.lit].all(axis=1)) > 1 - _STARLESS_FRACTION:
             raise ReconstructionError("the reference shows no stars where they are expected: is the pinhole mask in?")
-        self._contrast = self._stars.window.std(axis=-1)  # (L, S)
+        self._covariance = self._of_noise(self._spots)
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`. A lenslet is lost with any of its stars."""
-        reference, before = self._reference, self._stars
-        window = reference.cut(light)
-        correlation = cross_correlation(self._spectrum, normalised(window), self._search)
-        shifts = correlation.shape[1]
-        best = np.divmod(correlation.reshape(len(window), -1).argmax(axis=1), shifts)
-        start_px = before.position_px + (np.stack(best[::-1], axis=-1) - self._search)[:, None, :]
-        after = self._follow(reference.spline(light), start_px)
+        reference, before = self._reference, self._spots
+        after = self._find(repaired(light, reference.bad))
+        misfit, of_residual = self._compared(after)
+        covariance = (
+            of_residual
+            if reference.noise is None
+            else self._of_noise(after) + self._covariance / reference.reference_frames
+        )
+        error_px = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2) / 2, 0))
+        found = after.is_peak & self._known & (error_px < _CERTAIN * _WEIGHT * self.sigma_px) & (misfit < _MISFIT)
 
-        # The frame's window should be that of the reference, scaled in brightness.
-        gain = np.einsum("lsn,lsn->ls", after.window, before.window)
-        gain /= np.maximum(np.einsum("lsn,lsn->ls", before.window, before.window), 1e-30)
-        difference = after.window - gain[..., None] * before.window
-        misfit = difference.std(axis=-1) / np.maximum(gain * self._contrast, 1e-30)  # (L, S)
-        lost = ~(self._are_stars(after, start_px) & self._known & (misfit < MISFIT))
-
-        displacement = np.swapaxes(after.position_px - before.position_px, 1, 2)  # (L, xy, S)
-        variance = np.repeat(self._variance(after, difference)[..., None], 2, axis=-1)  # (L, S, xy)
+        lenslets, stars = len(reference.lit), len(self._nominal_px)
+        displacement = (after.position_px - before.position_px) @ reference.turn.T
+        covariance = (reference.turn @ covariance @ reference.turn.T).reshape(lenslets, stars, 2, 2)
+        misfit = np.sqrt(np.mean(self._by_lenslet(misfit) ** 2, axis=1))
         return classify_lenslets(
             reference,
             self._modes,
-            displacement,
-            covariance=diagonal_covariance(variance),
-            residual_rms=np.sqrt(np.mean(misfit**2, axis=1)) * reference.contrast / reference.contrast.max(),
-            contrast=after.height.min(axis=1),
-            faults={LensletStatus.DIVERGED: lost.any(axis=1), LensletStatus.SATURATED: reference.touched(saturated)},
+            np.swapaxes(displacement.reshape(lenslets, stars, 2), 1, 2),
+            covariance=np.einsum("lsab,st->lsatb", covariance, np.eye(stars)),
+            residual_rms=misfit * reference.contrast / reference.contrast.max(),
+            contrast=self._by_lenslet(after.brightness).min(axis=1),
+            faults={
+                LensletStatus.DIVERGED: np.any(~self._by_lenslet(found), axis=1),
+                LensletStatus.LEFT_CELL: np.any(self._by_lenslet(found & self._has_left(after)), axis=1),
+                LensletStatus.SATURATED: reference.touched(saturated),
+            },
         )
 
-    def _follow(self, coefficients: Image, start_px: Floats) -> _Stars:
-        """Find the stars near start_px (L, S, xy) in a frame given by its spline coefficients."""
-        # The window starts at the brightest place nearby.
-        coarse_px, _ = _window(self._half_px - 1)
-        light = self._light(coefficients, start_px, coarse_px)
-        smooth = light @ _smoothing(coarse_px, self._reference.blur_px)
-        position_px = start_px + coarse_px[smooth.argmax(axis=-1)]
+    def likeness(self) -> float:
+        """Correlation of the mean subimage of the reference, each about its spot, with a Gaussian as wide.
+
+        The correlation of two halves of the lenslets shows the noise, whose effect is taken away.
+        """
+        reference, spots = self._reference, self._spots
+        known = self._known & np.repeat(reference.lit, len(self._nominal_px))
+        position_px = spots.position_px[known][:, None] + reference.offset_px @ reference.turn
+        light, _ = interpolate(reference.spline_coefficients, position_px)
+        if len(light) < 2:
+            return 0.0
+        light /= spots.brightness[known, None]
+        gaussian = np.exp(np.sum(reference.offset_px**2, axis=1) / (-2 * self.sigma_px**2))
+        of_one, of_other, alike = np.corrcoef([light[::2].mean(axis=0), light[1::2].mean(axis=0), gaussian])[
+            [0, 1, 0], [2, 2, 1]
+        ]
+        return float(math.sqrt(max(of_one * of_other / alike, 0.0)) if alike > 0 else 0.0)
+
+    def _by_lenslet(self, values: NDArray[T]) -> NDArray[T]:
+        """Values of the spots (K,) by lenslet and star, (L, S)."""
+        return values.reshape(len(self._reference.lit), -1)
+
+    def _on_camera(self, position_px: Floats) -> Floats:
+        """Camera positions of positions (..., xy) about each lenslet along the lattice, (L, ..., xy)."""
+        reference = self._reference
+        center_px = reference.center_px.reshape(-1, *(1,) * (position_px.ndim - 1), 2)
+        return np.asarray(center_px + position_px @ reference.turn)
+
+    def _index(self, position_px: Floats) -> NDArray[np.intp]:
+        """Number of the nearest pixel, row by row, to camera positions (..., xy)."""
+        rows, columns = self._reference.image.shape
+        column, row = np.moveaxis(np.rint(position_px).astype(np.intp), -1, 0)
+        return np.asarray(np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1))
+
+    def _find(self, image: Image, *, is_reference: bool = False) -> _Spots:
+        """Find the spots of an image (row, column): the peaks of the smoothed image, by Newton's method."""
+        sigma_px = _WEIGHT * self.sigma_px
+        start = np.rint(self._brightest(image, sigma_px, is_reference=is_reference).reshape(-1, 2)).astype(np.intp)
+        half = math.ceil(_REACH * sigma_px + _FAR_PX)
+        corner, steps = start - half, np.arange(2 * half + 1)
+        column, row = np.moveaxis(corner[..., None] + steps, 1, 0)  # (K, n)
+        inside = [(at >= 0) & (at < size) for at, size in ((row, image.shape[0]), (column, image.shape[1]))]
+        pixel = np.where(inside[0], row, 0)[:, :, None], np.where(inside[1], column, 0)[:, None]
+        stamp = image[pixel].astype(np.float64) * (inside[0][:, :, None] & inside[1][:, None])
+        position_px = start.astype(np.float64)
         for _ in range(_ITERATIONS):
-            stars = self._weigh(coefficients, position_px)
-            position_px = stars.position_px
-            if not np.any(stars.step_px > _TOLERANCE_PX):
+            moments = _moments(stamp, position_px - corner, sigma_px**2)
+            curvature = _curvature(moments, sigma_px**2)
+            slope = np.stack([moments[:, 0, 1], moments[:, 1, 0]], axis=-1)
+            inverse, is_peak = _inverse(curvature)
+            uphill = slope / np.maximum(np.abs(moments[:, :1, 0]), _TINY)
+            step_px = np.where(is_peak[:, None], (inverse @ slope[..., None])[..., 0], uphill).clip(-1, 1)
+            position_px = position_px + step_px
+            largest_px = np.abs(step_px).max(axis=1)
+            if not np.any(largest_px > _TOLERANCE_PX):
                 break
-        return stars
+        is_near = np.abs(position_px - start).max(axis=1) < _FAR_PX
+        position_px = np.where(is_near[:, None], position_px, start)
+        return _Spots(position_px, corner, stamp, curvature, is_peak & is_near & (largest_px < _LAST_PX))
 
-    def _weigh(self, coefficients: Image, position_px: Floats) -> _Stars:
-        """Move the windows at position_px (L, S, xy) to the centres of gravity, once."""
-        window = self._light(coefficients, position_px, self._offset_px)
-        window -= np.median(window[..., self._border], axis=-1, keepdims=True)
-        height = window.max(axis=-1)
-        weight = np.maximum(window - _THRESHOLD * height[..., None], 0)
-        step = (weight @ self._offset_px) / np.maximum(weight.sum(axis=-1, keepdims=True), 1e-30)
-        return _Stars(position_px + step, window, height, np.hypot(step[..., 0], step[..., 1]))
+    def _brightest(self, image: Image, sigma_px: float, *, is_reference: bool) -> Floats:
+        """Brightest places of the smoothed image near each star, on the camera, (L, S, xy)."""
+        smooth = cv2.GaussianBlur(image, (0, 0), sigma_px).ravel()
+        stars = self._nominal_px
+        shift_px = np.zeros((len(self._places), 2))
+        if len(stars) == 1 or not is_reference:  # a grid of stars is not displaced there
+            shift_px = self._shifts_px[smooth[self._places].sum(axis=2).argmax(axis=1)]
+        start_px: Floats = self._reference.center_px[:, None] + (shift_px[:, None] + stars) @ self._reference.turn
+        if len(stars) == 1:
+            return start_px
+        half = max(int(self._gap_px / 2) - 1, 1)
+        around = np.stack(np.meshgrid(*[np.arange(-half, half + 1.0)] * 2), axis=-1).reshape(-1, 2)
+        return np.asarray(start_px + around[smooth[self._index(start_px[:, :, None] + around)].argmax(axis=2)])
 
-    def _light(self, coefficients: Image, position_px: Floats, offset_px: Floats) -> Floats:
-        """Light at offsets (N, xy) about positions (L, S, xy), both in the lattice frame: (L, S, N)."""
-        turn = self._reference.turn
-        camera_px = (self._reference.center_px[:, None] + position_px @ turn)[:, :, None] + offset_px @ turn
-        return interpolate(coefficients, camera_px)[0]
+    def _measured_sigma_px(self) -> float:
+        """Median sigma of the lit spots of the reference, by moments with a weight as wide as they seemed."""
+        spots, variance = self._spots, self.sigma_px**2
+        known = spots.is_peak & np.repeat(self._reference.lit, len(self._nominal_px))
+        stamp = spots.stamp[known]
+        if not len(stamp):
+            return self.sigma_px
+        border = np.concatenate([stamp[:, 0], stamp[:, -1], stamp[:, :, 0], stamp[:, :, -1]], axis=1)
+        stamp = stamp - np.median(border, axis=1)[:, None, None]
+        moments = _moments(stamp, (spots.position_px - spots.corner)[known], variance)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            weighted = (moments[:, 0, 2] + moments[:, 2, 0]) / (
+                2 * moments[:, 0, 0]
+            )  # 1 / weighted = 1 / spot + 1 / weight
+            found = 1 / (1 / weighted - 1 / variance)
+        found = np.where((weighted > 0) & (weighted < variance), found, np.inf)
+        return float(np.clip(math.sqrt(median(found)), _LEAST_SIGMA_PX, _MOST_SIGMA * self._gap_px))
 
-    def _are_stars(self, stars: _Stars, start_px: Floats) -> Booleans:
-        """True for stars that are bright, near start_px (L, S, xy), inside the cell and converged: (L, S)."""
-        strayed = np.abs(stars.position_px - start_px).max(axis=-1) > self._half_px
-        left = np.abs(stars.position_px).max(axis=-1) > self._reference.reach_px
-        faint = ~(stars.height > _FAINT * np.median(stars.height[self._reference.lit]))
-        return np.asarray(~(strayed | left | faint) & (stars.step_px < _CONVERGED_PX))
+    def _has_left(self, spots: _Spots) -> Booleans:
+        """True for spots that reach beyond their cell, (K,)."""
+        center_px = np.repeat(self._reference.center_px, len(self._nominal_px), axis=0)
+        away_px = (spots.position_px - center_px) @ self._reference.turn.T
+        return np.asarray(np.abs(away_px).max(axis=1) > self._reference.reach_px)
 
-    def _variance(self, stars: _Stars, difference: Floats) -> Floats:
-        """Variance of displacements along one axis, px^2, (L, S), by the `difference` (L, S, N) on the border."""
-        noise = np.mean(difference[..., self._border] ** 2, axis=-1)
-        weight = np.maximum(stars.window - _THRESHOLD * stars.height[..., None], 0)
-        arm = (weight > 0) @ (self._offset_px**2).mean(axis=1)
-        return np.asarray(noise * arm / np.maximum(weight.sum(axis=-1), 1e-30) ** 2)
+    def _of_noise(self, spots: _Spots) -> Floats:
+        """Covariance of the positions of spots by the camera's noise in one frame, px^2, (K, xy, xy)."""
+        noise = self._reference.noise
+        if noise is None:
+            return np.zeros((len(spots.stamp), 2, 2))
+        variance = noise.counts_per_light * spots.stamp + noise.read_noise_counts**2
+        return self._propagated(variance, spots.position_px - spots.corner, spots.curvature)
+
+    def _propagated(self, variance: Floats, at_px: Floats, curvature: Floats) -> Floats:
+        """Covariance of positions at_px (K, xy) in stamps of that variance of the pixels (K, n, n), (K, xy, xy)."""
+        moments = _moments(variance, at_px, (_WEIGHT * self.sigma_px) ** 2 / 2)  # with the square of the weight
+        slopes = np.stack([moments[:, [0, 1], [2, 1]], moments[:, [1, 2], [1, 0]]], axis=1)
+        inverse, _ = _inverse(curvature)
+        return np.asarray(inverse @ slopes @ inverse)
+
+    def _compared(self, after: _Spots) -> tuple[Floats, Floats]:
+        """Residual of spots over their contrast (K,), noise aside; covariance by it if noise is unknown (K, xy, xy)."""
+        reference, before, sigma_px = self._reference, self._spots, _WEIGHT * self.sigma_px
+        width = after.stamp.shape[1]
+        left_out = width // 2 - min(math.ceil(_COMPARED * sigma_px), width // 2)
+        middle = slice(left_out, width - left_out)
+        stamp, corner = after.stamp[:, middle, middle], after.corner + left_out
+        at_px, steps = after.position_px - corner, np.arange(stamp.shape[1])
+        x, y = np.moveaxis((corner - after.position_px + before.position_px)[..., None] + steps, 1, 0)
+        still, _ = interpolate(
+            reference.spline_coefficients, np.stack(np.broadcast_arrays(x[:, None], y[:, :, None]), axis=-1)
+        )
+        along_x, along_y = np.moveaxis(np.exp((steps - at_px[..., None]) ** 2 / (-2 * sigma_px**2)), 1, 0)
+        weight = along_y[:, :, None] * along_x[:, None]
+        weight /= weight.sum(axis=(1, 2), keepdims=True)
+
+        def mean(values: Floats) -> Floats:
+            return np.asarray(np.sum(weight * values, axis=(1, 2), keepdims=True))
+
+        stamp_away, still_away = stamp - mean(stamp), still - mean(still)
+        gain = mean(stamp_away * still_away) / np.maximum(mean(still_away**2), _TINY)
+        residual = stamp_away - gain * still_away
+        square = mean(residual**2)
+        of_residual = np.zeros((len(stamp), 2, 2))
+        if reference.noise is None:
+            free = 1 / np.sum(weight**2, axis=(1, 2), keepdims=True)  # independent pixels
+            of_residual = self._propagated(residual**2 * free / (free - _FITTED), at_px, after.curvature)
+        else:
+            expected = reference.noise.counts_per_light * mean(stamp) + reference.noise.read_noise_counts**2
+            square = square - expected * (1 + gain / reference.reference_frames)
+        misfit = np.sqrt(np.maximum(square, 0) / np.maximum(mean(stamp_away**2), _TINY)).ravel()
+        return misfit, of_residual
 
 
-def _window(half_px: float) -> tuple[Floats, Booleans]:
-    """Positions of a square window, whole pixels apart (N, xy), and its border (N,)."""
-    steps = np.arange(-int(half_px), int(half_px) + 1, dtype=np.float64)
-    y, x = (grid.ravel() for grid in np.meshgrid(steps, steps, indexing="ij"))
-    return np.stack([x, y], axis=-1), np.maximum(np.abs(x), np.abs(y)) == steps[-1]
+def _moments(image: Floats, at_px: Floats, variance: float) -> Floats:
+    """Moments y^a x^b of stamps (K, n, n), weighted by a Gaussian about positions (K, xy): (K, a, b), a and b <= 2."""
+    from_px = np.arange(image.shape[-1]) - at_px[..., None]  # (K, xy, n)
+    weight = np.exp(from_px**2 / (-2 * variance))
+    along_x, along_y = np.moveaxis(np.stack([weight, from_px * weight, from_px**2 * weight], axis=2), 1, 0)
+    return np.asarray(along_y @ image @ np.swapaxes(along_x, 1, 2))
 
 
-def _smoothing(position_px: Floats, blur_px: float) -> Floats:
-    """Matrix (N, N) of a Gaussian average, as wide as a star, at positions (N, xy)."""
-    square_px = np.sum((position_px[:, None] - position_px) ** 2, axis=-1)
-    kernel = np.exp(-square_px / (2 * (0.4 * blur_px) ** 2))
-    return np.asarray(kernel / kernel.sum(axis=0))
+def _curvature(moments: Floats, variance: float) -> Floats:
+    """Negative second derivatives of the smoothed image, times the weight's variance, (K, xy, xy)."""
+    xx, yy = (moments[:, 0, 0] - each / variance for each in (moments[:, 0, 2], moments[:, 2, 0]))
+    xy = -moments[:, 1, 1] / variance
+    return np.moveaxis(np.array([[xx, xy], [xy, yy]]), -1, 0)
+
+
+def _inverse(matrix: Floats) -> tuple[Floats, Booleans]:
+    """Inverse of symmetric matrices (K, 2, 2), and whether they are positive definite, (K,); elsewhere 0."""
+    (xx, xy), (_, yy) = np.moveaxis(matrix, 0, -1)
+    determinant = xx * yy - xy**2
+    is_positive = (determinant > 0) & (xx > 0)
+    adjugate = np.moveaxis(np.array([[yy, -xy], [-xy, xx]]), -1, 0)
+    return adjugate * np.where(is_positive, 1 / np.where(is_positive, determinant, 1), 0)[:, None, None], is_positive

@@ -104,7 +104,8 @@ class ReferenceSubimages:
         self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
-        self.spline_coefficients = self.spline(reference)  # of the whole frame, (row, column)
+        self.image = repaired(reference, self.bad)  # the whole frame, (row, column)
+        self.spline_coefficients = spline_coefficients(self.image)
         self.light, gradient = interpolate(self.spline_coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
         self.usable = self._usable()  # (L, N)
@@ -185,6 +186,12 @@ class ReferenceSubimages:
         window = window - window.mean(axis=(1, 2), keepdims=True)
         neighbours = (window[:, :, 1:] * window[:, :, :-1]).mean(axis=(1, 2))
         return float(np.median(neighbours / (window**2).mean(axis=(1, 2))))
+
+
+def normalised(window: Floats) -> Floats:
+    """Windows (L, row, column) minus their mean, over their contrast."""
+    window = window - window.mean(axis=(1, 2), keepdims=True)
+    return np.asarray(window / np.maximum(window.std(axis=(1, 2), keepdims=True), 1e-30))
 
 
 def typical(contrast: Floats) -> float:

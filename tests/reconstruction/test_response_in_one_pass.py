@@ -168,7 +168,7 @@ def test_reason_is_kept_where_there_is_no_response(small_bench: SmallBench) -> N
             {"reconstruction": ReconstructionSettings(basis="zernike", sample="layers")},
             'reconstruction.basis = "zernike"',
         ),
-        ({"registration": RegistrationSettings(method="correlation")}, 'registration.method = "correlation"'),
+        ({"registration": RegistrationSettings(method="itk_affine")}, 'registration.method = "itk_affine"'),
         ({"warp": "translation"}, 'registration.warp = "translation"'),
     ],
 )

@@ -30,10 +30,6 @@ collimator_focal_length_m = 0.2
 half_width_m = 1e-4
 view_rows = 1
 view_columns = 1
-[registration]
-method = "correlation_fft"
-star_rows = 1
-star_columns = 1
 [reconstruction]
 pupil_modes = 15
 [pupil]

@@ -20,6 +20,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
+from app.evaluation.paper.correlation import Correlation
 from app.files import atomic_write, write_whole
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
@@ -132,7 +133,7 @@ _CUBIC = RegistrationSettings(warp="cubic")
 Methods = Mapping[str, TableMethod]
 METHODS: dict[str, TableMethod] = {
     "stars_zonal": TableMethod(mask="stars", registration=_CENTROIDS, reconstruction=ZONAL),
-    "correlation_zonal": TableMethod(registration=RegistrationSettings(method="correlation"), reconstruction=ZONAL),
+    "correlation_zonal": TableMethod(own=Correlation, reconstruction=ZONAL),
     "itk_affine_zonal": TableMethod(registration=_ITK, reconstruction=ZONAL),
     "itk_affine_modal": TableMethod(registration=_ITK, reconstruction=MODAL),
     "block_flow_zonal": TableMethod(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),

@@ -22,12 +22,11 @@ from reconstruction.frame.noise import CameraNoise
 from reconstruction.frame.spline import interpolate, mean_interpolation, spline_coefficients
 from reconstruction.geometry import require
 from reconstruction.modes.field_modes import LegendreModes, PolynomialModes, gradient_basis
-from reconstruction.registration.correlation import normalised
 from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.response import OwnWavefront
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, normalised
 from reconstruction.runtime.threads import in_threads
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds

@@ -54,10 +54,10 @@ def test_fields_have_units_help_and_limits(form: SettingsForm) -> None:
     assert (made["sensor.wavelength_m"].text, made["sensor.wavelength_m"].unit) == ("462", "nm")
     assert made["simulation.screen.samples"].help.endswith("Must be 8 ... 8192")
     assert made["simulation.screen.rms_rad"].label == "RMS"
-    assert made["registration.threads"].help == "Gauss-Newton: number of threads. Must be 1 ... 64"
-    assert made["registration.method"].help.endswith("some are too slow for live use")  # it has no limit
+    assert made["registration.threads"].help == "Number of threads, Gauss-Newton only. Must be 1 ... 64"
+    assert made["registration.method"].help.endswith("too slow for live use")  # it has no limit
     assert made["field.shape"].choices == ("square", "circle")
-    assert "depends on amplifier and speed" in made["camera.exposure_s"].help
+    assert "range by amplifier and speed" in made["camera.exposure_s"].help
     assert made["streams.port"].is_optional
     assert made["light.driver"].choices == tuple(DRIVERS["light"])
 

@@ -270,7 +270,7 @@ def is_read(tree: dict[str, Any]) -> bool:
 
 def test_schema_describes_limits_defaults_and_choices() -> None:
     settings = EDITOR.schema["properties"]["registration"]["properties"]
-    assert settings["threads"]["description"] == "Gauss-Newton: number of threads"
+    assert settings["threads"]["description"] == "Number of threads, Gauss-Newton only"
     assert (settings["threads"]["minimum"], settings["threads"]["maximum"]) == (1, 64)
-    assert settings["method"]["default"] == "gauss_newton"
-    assert "correlation" in settings["method"]["enum"]
+    assert settings["method"]["default"] == "automatic"
+    assert "centroids" in settings["method"]["enum"]

@@ -83,7 +83,7 @@ def test_every_documented_command_runs(
     assert stars.bench.registration.method == "centroids"
     assert not (tmp_path / "refused").exists()
     made = {path.name for path in tmp_path.iterdir() if path.is_file()} - {"paper_experiment.toml"}
-    reports = {"square.pdf", "table2.pdf", "zonal.pdf", "affine.pdf", "affine_zonal.pdf", "correlation.pdf"}
+    reports = {"square.pdf", "table2.pdf", "zonal.pdf", "affine.pdf", "affine_zonal.pdf"}
     assert made == reports | {"bench.toml", "lattice.png", "square.csv", "psf.tif"}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -172,3 +173,15 @@ def test_calibration_is_written_whole_or_not_at_all(
     with pytest.raises(RunError, match=r"reference\.npz: cannot be written: No space left on device"):
         write_calibration(tmp_path / "0", noisy_calibration(small_bench))
     assert not list(tmp_path.iterdir())
+
+
+def test_share_without_file_locks_is_refused_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], quick_toml: Path, tmp_path: Path
+) -> None:
+    def no_locks(_: int) -> bool:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("app.recording.folder.has_locked", no_locks)
+    assert run(monkeypatch, "measure", "--bench", quick_toml, "--frames", "1", "--out", tmp_path / "run") == 1
+    error = " ".join(capsys.readouterr().err.split())
+    assert f"{os.strerror(errno.ENOLCK)}: use a folder on this computer's own disk, or mount the share with" in error

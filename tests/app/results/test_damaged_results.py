@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import shutil
 from pathlib import Path
+from typing import Any
 
+import h5netcdf
 import h5py
 import numpy as np
 import pytest
@@ -98,3 +101,29 @@ def test_file_that_another_program_has_changed_opens(mine: Path) -> None:
         file.create_group("crc32").attrs["wavefront"] = np.uint32(7)
     with open_results(mine) as read:
         assert read.attrs["note"] == "mine"
+
+
+def test_share_without_file_locks_keeps_results(
+    monkeypatch: pytest.MonkeyPatch, dataset: xr.Dataset, mine: Path, tmp_path: Path
+) -> None:
+    """HDF5 fails there (ENOLCK) unless it is to do without locks."""
+
+    class OnShare(h5netcdf.File):  # type: ignore[misc] # without types
+        def __new__(cls, path: Any, *_: Any, locking: bool = True, **__: Any) -> Any:
+            if locking and isinstance(path, str | Path):  # and not in memory
+                raise OSError(errno.ENOLCK, "unable to lock file: No locks available")
+            return super().__new__(cls)
+
+    monkeypatch.setattr(h5netcdf, "File", OnShare)
+    read_all(mine)
+    pieces = [stack_frames([dataset] * 2, range(2), [0.0] * 2, [0.0] * 2) for _ in range(2)]
+    write_pieces(tmp_path / "pieces.nc", pieces, bench=BENCH, inputs={})
+    with open_results(tmp_path / "pieces.nc") as read:
+        assert read.sizes["frame"] == 4
+
+
+def test_file_that_another_program_holds_is_not_damaged(mine: Path) -> None:
+    fcntl = pytest.importorskip("fcntl", reason="Windows locks in another way")
+    with mine.open("rb") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        read_all(mine)

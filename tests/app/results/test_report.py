@@ -316,13 +316,13 @@ def test_residual_is_the_difference(mine: Recording, tmp_path: Path) -> None:
 def test_command_compares_with_another_method(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], recording: Recording, tmp_path: Path
 ) -> None:
-    words = ("--set", "registration.method=correlation", "--frames", ":2", "--plot", tmp_path / "r.pdf")
+    words = ("--set", "registration.warp=translation", "--frames", ":2", "--plot", tmp_path / "r.pdf")
     assert run(monkeypatch, "compare", recording.folder, recording.folder, *words) == 0
     assert (tmp_path / "r.pdf").read_bytes().count(b"/Type /Page ") == 1
     shown = capsys.readouterr().out
     assert "run minus run" in shown
     least, most, mean = (float(number) for number in re.findall(r"\d+\.\d{3}", shown)[-3:])
     assert 0 < least < mean < most  # a single shift per lenslet does not vary over the field
-    changed = change_of(None, ("registration.method=correlation",))
+    changed = change_of(None, ("registration.warp=translation",))
     methods = [summarise(recording, ":1", lambda *_: None, change=change) for change in (None, changed)]
-    assert [dict(facts(each))["method"].split(",")[0] for each in methods] == ["gauss_newton", "correlation"]
+    assert [dict(facts(each))["method"].split(", ")[1] for each in methods] == ["warp quadratic", "warp translation"]

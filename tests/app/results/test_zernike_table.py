@@ -156,7 +156,7 @@ def test_pupil_is_found_from_the_lit_lenslets(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "more", [("registration.method=correlation",), ("reconstruction.method=zonal",), ("registration.method=centroids",)]
+    "more", [("registration.warp=translation",), ("reconstruction.method=zonal",), ("registration.method=centroids",)]
 )
 def test_every_result_has_field_table_and_report(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, spots: tuple[Path, Path, Path], more: tuple[str, ...]
@@ -205,7 +205,7 @@ def test_comparison_is_the_difference(
     capsys.readouterr()
     assert run(monkeypatch, "compare", one, other) == 2
     assert "has other views or lenslets, 2 x 1 x 12 x 12, than" in capsys.readouterr().err
-    assert run(monkeypatch, "compare", one, two, "--set", "registration.method=correlation") == 2
+    assert run(monkeypatch, "compare", one, two, "--set", "registration.warp=affine") == 2
     assert "settings can be changed for recordings alone" in capsys.readouterr().err
 
 

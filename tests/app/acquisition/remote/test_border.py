@@ -68,8 +68,6 @@ CASES = {
     "few modes": Case(QUADRATIC, reconstruction=solving(basis="zernike", pupil_modes=15)),
     "zonal": Case(QUADRATIC, reconstruction=solving(method="zonal"), has_bias=True),
     "circle": Case(QUADRATIC, is_circle=True),
-    "correlation": Case(RegistrationSettings(method="correlation")),
-    "FFT": Case(RegistrationSettings(method="correlation_fft"), reconstruction=solving(method="zonal")),
     "ITK": Case(RegistrationSettings(method="itk_affine")),
     "stars": Case(RegistrationSettings(method="centroids", star_rows=2, star_columns=3), has_stars=True),
     "stars, zonal": Case(

@@ -1,44 +1,32 @@
 """Registration by one shift per lenslet: the space-invariant method that the paper compares with.
 
-The mismatch of subimage and reference at all whole-pixel shifts within reach, and the minimum of a quadratic through
-the 3 x 3 values about the best one. The mismatch is the sum of squared differences, or follows from the
-cross-correlation by FFT (both after Löfdahl 2010, Astronomy & Astrophysics 524, A90).
+The sum of squared differences of subimage and reference at all whole-pixel shifts within reach, and the minimum of a
+quadratic through the 3 x 3 values about the least one (Löfdahl 2010, Astronomy & Astrophysics 524, A90).
 """
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import fft
 
 from reconstruction.arrays import Booleans, Floats, Image
-from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod, diagonal_covariance
+from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.errors import ReconstructionError
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, classify_lenslets
-from reconstruction.settings import RegistrationSettings
+from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets, normalised
 
 _MISFIT = 0.7  # residual over contrast above which the frame does not match, however deformed
-
-
-def prepare(
-    reference: ReferenceSubimages, settings: RegistrationSettings, _field: Field, _model: LensletModel | None
-) -> RegistrationMethod:
-    """Prepare the method `correlation` or `correlation_fft`."""
-    return Correlation(reference, by_fft=settings.method == "correlation_fft")
 
 
 class Correlation:
     """Registration by one shift of each subimage."""
 
-    def __init__(self, reference: ReferenceSubimages, *, by_fft: bool = False) -> None:
+    def __init__(self, reference: ReferenceSubimages, _field: Field) -> None:
         """Prepare for shifts that leave the field inside the lenslet's cell."""
         range_px = reference.reach_px - reference.half_width_px
         if range_px < 1:
             raise ReconstructionError("the field fills the lenslets' cells: no shift of it can be correlated")
-        self._reference, self._by_fft, self._modes = reference, by_fft, LegendreModes(1)
+        self._reference, self._modes = reference, LegendreModes(1)
         self._search = int(range_px) + 1  # the outermost shifts are only neighbours of a minimum
         self._light = normalised(reference.light.reshape(-1, reference.width, reference.width))
-        self._spectrum = correlation_spectrum(self._light)
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`."""
@@ -65,9 +53,6 @@ class Correlation:
     def _mismatch(self, window: Floats) -> tuple[Floats, int]:
         """Sum of squared differences at all shifts, (L, shift_y, shift_x), and its number of pixels."""
         search, width = self._search, self._reference.width
-        if self._by_fft:
-            correlation = cross_correlation(self._spectrum, window, search)
-            return 2 * (width**2 - correlation), width**2
         inner = width - 2 * search  # the middle of the reference, so that every shift of it lies in the window
         middle = self._light[:, search : search + inner, search : search + inner]
         shifts = 2 * search + 1
@@ -76,28 +61,6 @@ class Correlation:
             difference = window[:, row : row + inner, column : column + inner] - middle
             mismatch[:, row, column] = np.einsum("lyx,lyx->l", difference, difference)
         return mismatch, inner**2
-
-
-def normalised(window: Floats) -> Floats:
-    """Windows (L, row, column) minus their mean, over their contrast."""
-    window = window - window.mean(axis=(1, 2), keepdims=True)
-    return np.asarray(window / np.maximum(window.std(axis=(1, 2), keepdims=True), 1e-30))
-
-
-def correlation_spectrum(light: Floats) -> NDArray[np.complex128]:
-    """Spectrum of normalised reference windows (L, width, width), for `cross_correlation`."""
-    return np.asarray(np.conj(fft.rfft2(light)))
-
-
-def cross_correlation(spectrum: NDArray[np.complex128], window: Floats, search: int) -> Floats:
-    """Correlation of windows (L, width, width) and reference up to `search` px: (L, shift_y, shift_x).
-
-    Shifts wrap around: both borders are equally dark, whereas zero padding, unlike the mean, would bias towards no
-    shift.
-    """
-    products = fft.irfft2(fft.rfft2(window) * spectrum, window.shape[1:])
-    shifts = np.arange(-search, search + 1)
-    return np.asarray(products[:, shifts[:, None], shifts])
 
 
 def _quadratic_minimum(mismatch: Floats) -> tuple[Floats, Floats, Floats, Booleans]:

@@ -1,0 +1,156 @@
+"""Centroids of spots in closed form: no bias from pixels, and error bars that hold in photon noise."""
+
+from __future__ import annotations
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from support.spots import SpotBench, fractions
+
+from reconstruction.arrays import Floats
+from reconstruction.displacement import Displacement, LensletStatus
+from reconstruction.errors import ReconstructionError
+from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.registration import chosen, prepare_registration
+from reconstruction.registration.centroids import Centroids
+from reconstruction.registration.subimages import ReferenceSubimages
+from reconstruction.settings import RegistrationSettings
+
+Image = NDArray[np.floating[Any]]
+SIGMAS_PX = [1.0, 1.2, 1.6, 2.2]
+BIAS_PX = 2e-3
+
+
+def subimages(bench: SpotBench, reference: Image, **changes: Any) -> ReferenceSubimages:
+    return ReferenceSubimages(
+        reference.astype(np.float32), sensor=bench.sensor, lattice=bench.lattice, field=bench.field, **changes
+    )
+
+
+def registered(reference: ReferenceSubimages, frame: Image) -> Displacement:
+    made = Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1))
+    return made(frame.astype(np.float32), saturated=np.zeros(frame.shape, np.bool_))
+
+
+def errors_px(bench: SpotBench, found: Displacement, moved_px: Floats) -> Floats:
+    """Found minus true displacements, px, of valid lenslets along the lattice, (N, xy)."""
+    return (found.coefficients[:, :, 0] - moved_px @ bench.lattice.turn.T)[found.valid]
+
+
+@pytest.mark.parametrize("sigma_px", SIGMAS_PX)
+@pytest.mark.parametrize("rotation_rad", [0.0, 0.3])
+def test_spots_have_no_bias_at_any_fraction_of_a_pixel(sigma_px: float, rotation_rad: float) -> None:
+    margin_px = 10 if not rotation_rad else 60
+    bench = SpotBench(rotation_rad=rotation_rad, margin_px=margin_px)
+    moved_px = fractions(12, 12)
+    reference = bench.image(sigma_px=sigma_px, light=1e4) + 100.0
+    frame = bench.image(moved_px, sigma_px=sigma_px, light=7e3) + 130.0
+    found = registered(subimages(bench, reference), frame)
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < BIAS_PX
+
+
+@pytest.mark.parametrize("sigma_px", SIGMAS_PX)
+@pytest.mark.parametrize("is_known", [True, False])
+def test_error_bars_hold_in_photon_noise(sigma_px: float, is_known: bool) -> None:
+    bench, moved_px, rng = SpotBench(), fractions(12, 12), np.random.default_rng(3)
+    read_noise, photons, background = 2.0, 3000.0, 4.0
+    ratios, errors = [], []
+
+    def exposed(image: Floats) -> Floats:
+        return np.asarray(rng.poisson(image + background) + rng.normal(0, read_noise, image.shape) - background)
+
+    for _ in range(4):
+        reference = exposed(bench.image(sigma_px=sigma_px, light=photons))
+        noise = KnownNoise(CameraNoise(1.0, math.hypot(read_noise, math.sqrt(background))), 1.0)
+        made = subimages(bench, reference, **({"noise": noise} if is_known else {}))
+        found = registered(made, exposed(bench.image(moved_px, sigma_px=sigma_px, light=photons)))
+        assert found.valid.mean() > 0.99
+        error = errors_px(bench, found, moved_px)
+        errors.append(error)
+        ratios.append(error / np.sqrt(found.variance[:, :, 0][found.valid]))
+    within = np.mean(np.abs(np.concatenate(ratios)) < 1)
+    assert 0.60 < within < 0.76
+    all_px = np.concatenate(errors)
+    assert np.abs(all_px.mean(axis=0)).max() < BIAS_PX + 4 * all_px.std() / math.sqrt(len(all_px))
+
+
+def test_scatter_is_near_the_least_possible() -> None:
+    """Cramer-Rao: sigma over the root of the photons, in frame and in reference."""
+    bench, moved_px, rng = SpotBench(), fractions(12, 12), np.random.default_rng(5)
+    sigma_px, photons = 1.5, 2000.0
+    reference, frame = (bench.image(each, sigma_px=sigma_px, light=photons) for each in (0.0, moved_px))
+    noise = KnownNoise(CameraNoise(1.0, 0.1), 1.0)
+    error = [
+        errors_px(
+            bench,
+            registered(subimages(bench, rng.poisson(reference) * 1.0, noise=noise), rng.poisson(frame) * 1.0),
+            moved_px,
+        )
+        for _ in range(4)
+    ]
+    least_px = math.sqrt(2 * (sigma_px**2 + 1 / 12) / photons)
+    assert np.std(np.concatenate(error)) < 1.25 * least_px
+
+
+def test_blurred_spots_are_measured() -> None:
+    """As those of a star through the atmosphere against a sharp reference: 4 times as wide."""
+    bench, moved_px = SpotBench(pitch_px=30.0), fractions(12, 12)
+    frame = bench.image(moved_px, sigma_px=4.0, light=2e4)
+    found = registered(subimages(bench, bench.image(sigma_px=1.0, light=1e4)), frame)
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < 0.01
+
+
+def test_dark_faint_and_far_spots_are_lost() -> None:
+    bench, rng = SpotBench(), np.random.default_rng(1)
+    noise = KnownNoise(CameraNoise(1.0, 5.0), 1.0)
+    light = np.full((12, 12), 1e4)
+    reference = subimages(bench, bench.image(sigma_px=1.2, light=light), noise=noise)
+    moved_px = np.zeros((12, 12, 2))
+    light[2, 3], light[4, 5], moved_px[7, 8] = 0.0, 30.0, (11.3, 0.0)
+    frame = bench.image(moved_px, sigma_px=1.2, light=light)
+    found = registered(reference, frame + rng.normal(0, 5, frame.shape))
+    expected = np.full((12, 12), LensletStatus.CONVERGED)
+    expected[2, 3] = expected[4, 5] = LensletStatus.DARK
+    expected[7, 8] = LensletStatus.LEFT_CELL
+    np.testing.assert_array_equal(found.outcome, expected)
+
+
+def test_noise_alone_shows_no_spots() -> None:
+    bench, rng = SpotBench(), np.random.default_rng(1)
+    image = bench.image(sigma_px=1.2, light=1e4)
+    for noise in (KnownNoise(), KnownNoise(CameraNoise(1.0, 5.0), 1.0)):
+        reference = subimages(bench, image, noise=noise)
+        assert not registered(reference, rng.normal(0, 5, image.shape)).valid.any()
+
+
+def test_stars_outside_the_field_are_left_out() -> None:
+    """The default 3 x 3 stars of a pinhole mask do not lie in the field of a point source."""
+    bench = SpotBench()
+    reference = subimages(bench, bench.image(sigma_px=1.2, light=1e4))
+    method = prepare_registration(reference, RegistrationSettings(method="centroids"), bench.field)
+    light = bench.image(sigma_px=1.2, light=1e4).astype(np.float32)
+    assert method(light, saturated=np.zeros(light.shape, np.bool_)).valid.all()
+    settings = RegistrationSettings(method="centroids", star_rows=2)
+    with pytest.raises(ReconstructionError, match=r"star_spacing_m does not suit the lenslets: star_y must lie in"):
+        prepare_registration(reference, settings, bench.field)
+
+
+@pytest.mark.parametrize("sigma_px", [0.8, 1.2, 2.2, 3.0])
+@pytest.mark.parametrize("field_half_width_px", [1.0, 8.0])
+def test_spots_choose_centroids(sigma_px: float, field_half_width_px: float) -> None:
+    """Also where the bench gives a field that is wider than the spots, and in noise."""
+    bench, rng = SpotBench(field_half_width_px=field_half_width_px), np.random.default_rng(2)
+    reference = rng.poisson(bench.image(sigma_px=sigma_px, light=2e3) + 20) - 20.0
+    settings, why = chosen(RegistrationSettings(), subimages(bench, reference))
+    assert (settings.method, settings.star_rows, settings.star_columns) == ("centroids", 1, 1)
+    (shown_px,) = re.findall(r"each lenslet of the reference shows one spot \(sigma (\S+) px\)", why)
+    assert float(shown_px) == pytest.approx(math.hypot(sigma_px, math.sqrt(1 / 12)), abs=0.15)
+    for given in (RegistrationSettings(method="gauss_newton"), RegistrationSettings(method="centroids", star_rows=3)):
+        assert chosen(given, subimages(bench, reference)) == (given, "")
+    assert chosen(RegistrationSettings(warp="affine"), subimages(bench, reference))[0].method == "gauss_newton"
