@@ -87,7 +87,7 @@ def test_bench_file_opens_real_devices(bench: Bench, lamp: DC4100Wire) -> None:
 @pytest.mark.parametrize(
     ("change", "sentence"),
     [
-        ("sensor.pixel_pitch_m=15.5e-6", r"sensor\.pixel_pitch_m = 1\.55e-05, but that of .* is 1\.6e-05"),
+        ("sensor.pixel_pitch_m=15.5e-6", r"sensor\.pixel_pitch_m = 1\.55e-05, but .* reports 1\.6e-05"),
         ("camera.exposure_s=2.0", r"camera: .*outside 0\.0139"),
         ("light.current_a=0.2", r"light: current_a = 0\.2 is outside 0 \.\.\. 0\.15"),
     ],
