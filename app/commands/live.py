@@ -110,7 +110,7 @@ def live(
 def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
     """Run the window on a bench file or a preset until it is closed, and return the exit status.
 
-    The instrument is a process of its own, which other clients find by its name. The window shows what is wrong with
+    The instrument is a second process, which other clients find by its name. The window shows what is wrong with
     the file, and opens others; it may offer the one that was open last. `InputError` if only `overrides` are wrong.
     """
     from app.acquisition.remote.own_instrument import OwnInstrument
@@ -145,7 +145,7 @@ def _is_sound(source: str) -> bool:
 
 
 def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
-    """Run a window that opens benches in a process of its own; remind of a manual light."""
+    """Run a window that opens benches in a second process; remind of a manual light."""
     with loading():
         from app.gui.application import run_window
 

@@ -1,4 +1,4 @@
-"""`svwfs serve`: the instrument in a process of its own, to which windows and programs attach."""
+"""`svwfs serve`: the instrument without a window, to which windows and programs attach."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ def serve(
     trust_library: options.Trust = False,
     setting: options.Set = None,
 ) -> None:
-    """Run a bench without a window, for any number of windows, notebooks and commands that attach to it.
+    """Run an instrument without a window; windows, notebooks and commands attach to it.
 
     It takes dark and reference, moves the sample in, and measures until Ctrl-C, or until a client shuts it down; then
-    the light is off. svwfs live --attach, svwfs measure --attach and svwfs.connect() attach to it; one that hangs or is
-    killed changes nothing. See `svwfs docs sharing`.
+    the light is off. svwfs live --attach, svwfs measure --attach and svwfs.connect() attach to it; a client that hangs
+    or is killed changes nothing. See `svwfs docs sharing`.
 
     Example: svwfs serve --bench live_demo
 

@@ -150,7 +150,7 @@ class QualityChecker:
             if moved_px.any():
                 x, y = np.rint(moved_px).astype(int)
                 reasons[Fault.RANGE] = (
-                    f"the lit lenslets are those of the reference, displaced by ({x:+d}, {y:+d}) px: images lie in the"
+                    f"the lenslets with light are displaced by ({x:+d}, {y:+d}) px: images lie in the"
                     " cells of other lenslets; move the frame back by as much, or take a reference in this position"
                 )
         return Quality(reasons, self._unjudged) | self.of_reference
