@@ -124,6 +124,8 @@ def test_wheel_has_what_it_needs_and_no_tests(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     needed = {
         "svwfs/__init__.py",
+        "app/docs/evidence/index.md",
+        "app/docs/troubleshooting.md",
         "app/docs/window.md",
         "app/docs/window.png",
         "app/gui/citation.txt",
