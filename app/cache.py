@@ -60,9 +60,9 @@ def cache_folder() -> Path:
 
 
 def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
-    """Return the cached result of `compute`, or compute it; the last 400 of each kind are kept.
+    """Return the cached result of `compute`, or compute it; the last 400 of each kind are retained.
 
-    `fingerprint` is a file name that stands for everything the result depends on.
+    `fingerprint` is a file name that represents everything the result depends on.
     """
     path = cache_folder() / kind / f"{fingerprint}.npz"
     kept = _load(path)

@@ -26,8 +26,8 @@ _REFUSALS = {
     errno.EACCES: "no permission to write there",
     errno.EPERM: "no permission to write there",
 }
-_MORE = 1 << 16  # bytes, for which a disk that was full has no room
-MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes beside the parts of its recording
+_MORE = 1 << 16  # bytes, for which a disk that was full has no space
+MEASURED = ("results.nc", "dark.tif", "reference.tif")  # what `svwfs measure` writes next to the parts of its recording
 RECORDING_PARTS = ("run.json", "frames.jsonl", "frames.zarr", "biases", "calibrations")
 _FORBIDDEN = re.compile(r'[\\/:*?"<>|\x00-\x1f]')  # in a file name, on any system
 _DEVICE = re.compile(r"(con|prn|aux|nul|conin\$|conout\$|(com|lpt)[1-9\xb9\xb2\xb3]) *(\..*)?", re.IGNORECASE)
@@ -124,7 +124,7 @@ def has_locked(descriptor: int) -> bool:
 def check_outputs(outputs: Iterable[Path | None], *, inputs: Iterable[Path | None] = (), overwrite: bool) -> None:
     """Check the files that a command will write.
 
-    None among `outputs` stands for an option that was not given. `inputs` are files and folders that the command reads.
+    None among `outputs` is an option that was not given. `inputs` are files and folders that the command reads.
     With `overwrite`, existing files may be replaced; inputs never are. `InputError` if an output is an input, lies in
     an input folder or is named twice, is part of a recording, or exists and must not be replaced.
     """
@@ -163,7 +163,7 @@ def _is_part(path: Path, other: Path) -> bool:
 
 
 def _is_recorded(path: Path) -> bool:
-    """True if a path is, or would be, part of a recording; other files may lie beside its parts."""
+    """True if a path is, or would be, part of a recording; other files may lie next to its parts."""
     real = Path(os.path.realpath(path))
     return any(
         each.name in RECORDING_PARTS and each.with_name("frames.jsonl").is_file() for each in (real, *real.parents)

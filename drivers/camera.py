@@ -63,7 +63,7 @@ class Frame:
 class SettingsInForce:
     """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them.
 
-    Frames are told apart by their index, or by the time at which they end.
+    Frames are distinguished by their index, or by the time at which they end.
     """
 
     def __init__(self, exposure_s: float, em_gain: float) -> None:
@@ -76,7 +76,7 @@ class SettingsInForce:
     def of_frame(self, frame: float) -> tuple[float, float]:
         """Return exposure and gain of a frame; later calls are for later frames.
 
-        What is already forgotten counts as the oldest kept: a clock may have been set back.
+        What is already forgotten counts as the oldest retained: a clock may have been set back.
         """
         newest = max((place for place, (first, _, _) in enumerate(self._changes) if first <= frame), default=0)
         del self._changes[:newest]

@@ -3,7 +3,7 @@
 The model renders a frame of the estimated wavefront, which is registered against the model's own reference. The
 displacements found, minus those that the solve expects, are the estimator's bias at this wavefront. It is subtracted
 from the measured displacements, and the wavefront is estimated again. Only a difference enters, so that the model may
-be coarse. A round is kept if it brings the modelled displacements closer to the measured ones.
+be coarse. A round is retained if it brings the modelled displacements closer to the measured ones.
 """
 
 from collections.abc import Iterator

@@ -5,7 +5,7 @@ register, when its gain is above 1 -> nonlinearity -> read noise -> offset -> co
 The random numbers of a pixel are hashes of (seed, frame, pixel): a frame does not depend on the frames
 before it. Large numbers of electrons follow Cornish-Fisher expansions, which turn one normal deviate z into a deviate
 with the right mean, variance and skewness (and, for Poisson, the next order). Small numbers are drawn one by one.
-Where nothing between shot noise and read noise is nonlinear, one deviate stands for both: their cumulants add up.
+Where nothing between shot noise and read noise is nonlinear, one deviate represents both: their cumulants add up.
 """
 
 import math
@@ -285,7 +285,7 @@ class Detector:
 
 @cache
 def compile_ahead() -> None:
-    """Begin to compile the detector in a thread of its own, beside the rendering of the first images."""
+    """Begin to compile the detector in a thread of its own, during the rendering of the first images."""
 
     def expose() -> None:
         exposure = FrameConditions(index=0, exposure_s=1.0, amplifier="normal", em_gain=1.0, readout_speed=1)

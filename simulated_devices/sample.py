@@ -71,7 +71,7 @@ def screen_size(simulation: Simulation, sensor: Sensor, field: Field, rays: RayM
         )
     if not side(half_width_m) <= _LARGEST_SIDE:
         room_m = (_LARGEST_SIDE - 1 - 2 * margin) / 2 * screen.sample_spacing_m - np.array(footprint_m) - guard_m
-        # The least room serves both axes; 0.5 % less allows for rounding.
+        # The least space serves both axes; 0.5 % less allows for rounding.
         allowed = 0.995 * float(room_m.min()) / (simulation.drifting_states * simulation.state_duration_s)
         raise ValueError(
             f"drift_x_m_per_s and drift_y_m_per_s must be at most {allowed:.3g} either way with drifting_states = "

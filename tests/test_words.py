@@ -46,7 +46,7 @@ def seen_texts(source: Path) -> Iterator[str]:
     }
     for node in ast.walk(tree):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in unseen:
-            yield node.value if " " in node.value.strip() else ""
+            yield node.value if " " in node.value else ""
         if isinstance(node, ast.FunctionDef) and source.parent.name == "commands" and node.name == source.stem:
             yield ast.get_docstring(node) or ""
 

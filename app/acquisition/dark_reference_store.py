@@ -1,4 +1,4 @@
-"""Darks or references kept for each sensor region and mask, and their validity."""
+"""Darks or references retained for each sensor region and mask, and their validity."""
 
 from dataclasses import dataclass, replace
 from datetime import datetime

@@ -17,7 +17,7 @@ from app.timing import Timings
 from drivers.interface import Camera, DeviceTimeout, Frame, FrameLost
 
 _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they can be skipped
-_CLOCK_DRIFT = 5e-4  # rate of the camera's clock beside this computer's, at most
+_CLOCK_DRIFT = 5e-4  # rate of the camera's clock relative to this computer's, at most
 _OLD_S = 0.1  # an older frame is skipped if there is a newer one
 
 
@@ -41,7 +41,7 @@ class FramePath:
         self._counted_s: float | None = None  # arrival of the last counted frame
         self._gap: Gap | None = None  # before that frame
         self._lost = 0  # before that frame
-        self.gap_cause = ""  # last work that kept the worker from taking frames
+        self.gap_cause = ""  # last work that delayed the worker's frames
         self._clock_lag_s = math.inf  # this computer's clock minus the camera's
         self._updated_s = -math.inf
 

@@ -119,7 +119,7 @@ class Status:
 
 @dataclass(frozen=True, slots=True)
 class Activity:
-    """Work besides taking frames, with its progress; empty text if there is none."""
+    """Work other than taking frames, with its progress; empty text if there is none."""
 
     text: str = ""
     progress: float = 0.0
@@ -392,7 +392,7 @@ class Instrument:
     ) -> None:
         """Record every frame from now on into a folder, until `stop_recording` or the `limit`.
 
-        If the folder exists, `may_rename` chooses a new name beside it; `recording` tells which. `InputError` if the
+        If the folder exists, `may_rename` chooses a new name next to it; `recording` says which. `InputError` if the
         folder is not free or a recording is under way. Later failures, such as a full disk, end only the recording and
         are shown by `recording`.
         """

@@ -274,7 +274,7 @@ class LiveBench:
         InputError
             If the folder holds a recording already, or `frames` is less than 1.
         RunError
-            If the recording ended early; the frames so far are kept.
+            If the recording ended early; the frames so far are retained.
         """
         acquisition, status, folder = self._acquisition, self._status(), Path(folder).expanduser()
         limit = RecordingLimit(frames=whole_number(frames, "frames"))

@@ -112,7 +112,7 @@ def without_sample(bench: Bench) -> str:
 
 
 def has_moved(found: Lattice, status: Status) -> bool:
-    """True if a lattice lies beside that of the bench by more than 5 % of the pitch anywhere."""
+    """True if a lattice differs from the bench's by more than 5 % of the pitch anywhere."""
     sensor, before = status.bench.sensor, status.bench.lattice
     if before is None:
         return False  # the reference will show it
@@ -122,7 +122,7 @@ def has_moved(found: Lattice, status: Status) -> bool:
 
 
 class HeadlessRun:
-    """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot go on.
+    """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot continue.
 
     `progress` receives what they wait for.
     """
@@ -182,7 +182,7 @@ class HeadlessRun:
 
     def _check(self) -> None:
         errors = (self.acquisition.error, *(step.exception() for step in self._expected if step.done()))
-        # A command is cancelled by someone who goes on, or closes.
+        # A command is cancelled by someone who continues, or closes.
         error = next((each for each in errors if each is not None and not isinstance(each, Cancelled)), None)
         if error is None:
             return

@@ -170,7 +170,7 @@ class _Watchdog:
             self._input.flush()
 
     def _end_within(self, seconds: float) -> None:
-        """Kill the process if it does not end in time; one that hangs in the kernel may go on."""
+        """Kill the process if it does not end in time; one that hangs in the kernel may continue."""
         with suppress(subprocess.TimeoutExpired):
             self.process.wait(seconds)
         self.process.kill()

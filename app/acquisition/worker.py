@@ -104,7 +104,7 @@ class Acquisition(Commands):
         return done()
 
     def switch_light_off(self) -> Future[None]:
-        """Switch the light off at once, beside the worker, and cancel the current routine.
+        """Switch the light off at once, bypassing the worker, and cancel the current routine.
 
         Commands that were sent before cannot switch it on again; the future resolves when it is off.
         """
@@ -134,7 +134,7 @@ class Acquisition(Commands):
 
         def command(instrument: Instrument) -> None:
             self._recorder.require_none(f"{file}: is not shown during a recording, of which it would be part")
-            frame = choose(instrument)  # may refuse: the camera goes on
+            frame = choose(instrument)  # may refuse: the camera continues
             if file or instrument.bench.reconstruction.refine:  # which takes seconds
                 self._activity = Activity("reconstructing the frame", may_cancel=False)
             instrument.devices.camera.stop()
@@ -173,7 +173,7 @@ class Acquisition(Commands):
 
     @property
     def activity(self) -> Activity:
-        """Work besides taking frames; also that the light does not answer, for which all of it waits."""
+        """Work other than taking frames; also that the light does not answer, for which all of it waits."""
         if self._light is not None and self._light.is_silent:
             return Activity("the light does not answer", may_cancel=False)
         return self._activity

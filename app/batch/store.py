@@ -123,7 +123,7 @@ class ResultStore:
             )
 
     def register(self, sources: Sequence[BatchInput]) -> tuple[list[tuple[int, BatchInput]], dict[Path, str]]:
-        """Give each recording its number in the store, making room for new ones.
+        """Give each recording its number in the store, making space for new ones.
 
         Returns the numbers with the recordings, and the reason for each recording that has changed.
         """

@@ -44,7 +44,7 @@ class Workers:
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
         """Yield each item with its result or error, as they finish.
 
-        `RunError` stands for every item that a lost scheduler leaves undone.
+        `RunError` is the result of every item that a lost scheduler leaves undone.
         """
         from distributed import as_completed
 

@@ -212,7 +212,7 @@ def as_bench(bench: object) -> Bench:
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
-    """Parse a bench from TOML text; `name` stands for it in errors.
+    """Parse a bench from TOML text; `name` represents it in errors.
 
     `overrides` are "section.key=value" as in TOML. `BenchError` names the key and what is allowed in one sentence, with
     the line and the setting.

@@ -42,7 +42,7 @@ def name_of(value: str) -> str:
 
 
 def typed_number(text: str, unit: str, factor: float) -> float | None:
-    """Return the number in SI units that a text such as "27,5 mA" stands for; None if it is none.
+    """Return the number in SI units that a text such as "27,5 mA" represents; None if it is none.
 
     Without a unit it counts in `unit`, which is `factor` times that without its prefix. Other prefixes of it are
     understood, and a comma or a point separates decimals.
@@ -72,12 +72,12 @@ class FormField:
     unit: str = ""
     factor: float = 1.0
     choices: tuple[str, ...] = ()
-    is_optional: bool = False  # empty: chosen by the program or kept by the device
+    is_optional: bool = False  # empty: chosen by the program or by the device
     help: str = ""
     example: str = ""  # of a value that must be typed
 
     def parse(self, text: str) -> Any:
-        """Return the value that a text stands for, None for an empty optional one; `InputError` if it is none."""
+        """Return the value that a text represents, None for an empty optional one; `InputError` if it is none."""
         text = text.strip()
         if not text and self.is_optional:
             return None

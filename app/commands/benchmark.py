@@ -213,7 +213,7 @@ def print_benchmark(result: dict[str, Any]) -> None:
 
 
 def print_figures(figures: LiveFigures) -> None:
-    """Print every figure beside its limit."""
+    """Print every figure next to its limit."""
     from app.run_facts import machine_facts
     from app.timing import KEPT
 

@@ -127,7 +127,7 @@ def calibrate_bench(
         light = np.subtract(image, 0 if dark_image is None else dark_image, dtype=np.float32)
         try:
             scale = mask_scale(calibrated, light)
-        except ReconstructionError:  # too little light, or none beside the dark
+        except ReconstructionError:  # too little light, or none above the dark
             scale = None
         return CalibratedBench(image, bench, calibrated, found, scale)
     except ReconstructionError as error:

@@ -125,7 +125,7 @@ def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: b
                     own.start(bench)  # while the window is loaded
         except InputError:
             if overrides and _is_sound(source):
-                raise  # what --set says is wrong; of a file, the window tells more
+                raise  # what --set says is wrong; of a file, the window says more
 
         def open_first(window: MainWindow) -> None:
             window.benches.open(source, overrides, is_trusted=trust)
@@ -171,7 +171,7 @@ def _attached(name: str) -> tuple[Bench, InstrumentFactory]:
     from app.acquisition.remote.connection import Connection, reach
     from app.gui.shell.instrument_factory import InstrumentFactory
 
-    first = reach("window", name)  # before there is a window: if none runs, the terminal tells
+    first = reach("window", name)  # before there is a window: if none runs, the terminal says
 
     def connect() -> Connection:
         return first if first.is_alive else reach("window", name)

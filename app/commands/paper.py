@@ -1,4 +1,4 @@
-"""`svwfs paper`: the tables of the paper beside its own numbers."""
+"""`svwfs paper`: the tables of the paper next to its own numbers."""
 
 from __future__ import annotations
 

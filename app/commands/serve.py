@@ -46,7 +46,7 @@ def serve(
     def begin(acquisition: Acquisition) -> None:
         def tell(step: Future[Any]) -> None:
             error = step.exception()
-            ends = acquisition.error is not None or acquisition.is_closing  # the command tells why
+            ends = acquisition.error is not None or acquisition.is_closing  # the command says why
             if error is not None and not ends and not isinstance(error, Cancelled):
                 terminal.print_warning(str(error))
 
@@ -54,7 +54,7 @@ def serve(
             step.add_done_callback(tell)
 
     if not faulthandler.is_enabled():
-        faulthandler.enable()  # a crash, as in a vendor's library, tells where
+        faulthandler.enable()  # a crash, as in a vendor's library, says where
     loaded = options.load(bench, setting)
     terminal.confirm_libraries(loaded, is_trusted=trust_library)
     with taken_address(name) as address:

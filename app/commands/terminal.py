@@ -130,7 +130,7 @@ def print_rotation(rotation: Circulation, *, is_rotating: bool) -> None:
 
 
 def print_quality(quality: QualityTally) -> None:
-    """Print a warning for each fault of the frames, and a note of what could not be judged."""
+    """Print a warning for each fault of the frames, and a note of what could not be checked."""
     for sentence in quality.sentences:
         print_warning(f"doubtful: {sentence}")
     if quality.unjudged:

@@ -30,7 +30,7 @@ _PAUSES: dict[str, TimedStage] = {"acquisition": "to_result", "recorder": "recor
 _WITHOUT_WINDOW_S = 20.0  # at most
 _MEMORY_S = 50.0  # at the end of the run, at most
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
-_MARGIN = 1.25  # of a recording over its pixels, which leaves room for displacements
+_MARGIN = 1.25  # of a recording over its pixels, which leaves space for displacements
 _BARE_WARM_UP_S = 3.0  # at most
 _LEAST_SHARE, _LEAST_SHARE_WITH_PANELS = 0.99, 0.97  # of the frames, reconstructed
 _AT_LEAST = {"share", "redrawn_hz", "rate_ratio"}  # figures with a lower limit; the others have an upper one
@@ -45,7 +45,7 @@ class LivePlan:
     bench: Bench
     seconds: float
     record_in: Path | None  # folder of the temporary recording; None for none
-    with_panels: bool = False  # coefficients, history and histogram are open beside the window
+    with_panels: bool = False  # coefficients, history and histogram are open in addition to the window
     warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
     is_probe: bool = False  # without the run that has neither window nor recording
 
@@ -119,7 +119,7 @@ class Span:
     first_wavefront_s: float  # since its process was started, with opening and calibrating the devices
     seconds: float
     frames: FrameTotals
-    times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were kept at its end
+    times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were retained at its end
     memory_mb: tuple[dict[str, float], dict[str, float]]  # by process; at begin and end of the last seconds
     processor_s: processor_time.Times  # empty if unknown
 

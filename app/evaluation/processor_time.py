@@ -11,7 +11,7 @@ from contextlib import suppress
 import psutil
 
 RENDERING, INSTRUMENT, WINDOW, DETECTOR = "simulated rendering", "instrument", "window", "detector"
-Times = dict[str, dict[str, float]]  # seconds of each thread by process; the thread "" stands for the whole process
+Times = dict[str, dict[str, float]]  # seconds of each thread by process; the thread "" represents the whole process
 _PROCESSES = {  # by a part of the command line
     "render_missing": RENDERING,
     "background_estimator": "background estimator",
@@ -44,7 +44,7 @@ def memory_mb() -> dict[str, float]:
     """Return the memory by process, MB of 2**20 bytes, what they share in equal parts (PSS); {}: unknown."""
     found: defaultdict[str, float] = defaultdict(float)
     for process, name in _processes():
-        with suppress(psutil.Error, AttributeError):  # only Linux tells it
+        with suppress(psutil.Error, AttributeError):  # only Linux reports it
             found[name] += process.memory_full_info().pss / 2**20
     return dict(found)
 

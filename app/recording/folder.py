@@ -125,7 +125,7 @@ def _is_made(folder: Path) -> bool:
 
 
 def damaged_name(path: Path) -> Path:
-    """Return a free name beside a damaged file, under which it is kept."""
+    """Return a free name next to a damaged file, under which it is retained."""
     names = chain(["damaged"], (f"damaged-{number}" for number in count(2)))
     return next(each for name in names if not (each := path.with_suffix(f".{name}{path.suffix}")).exists())
 

@@ -159,7 +159,7 @@ class FrameArray:
             if chunk.exists() and chunk.stat().st_size < whole:
                 with self._open(number) as file:
                     self._append(self._missing(min(self._in_chunk, length - number * self._in_chunk) - self._frames))
-                    file.truncate(whole)  # takes no room on a full disk
+                    file.truncate(whole)  # takes no space on a full disk
 
     def remove(self, index: int) -> None:
         """Remove the values of a frame, and of later ones in its chunk."""

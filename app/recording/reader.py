@@ -83,7 +83,7 @@ class Recording:
     @property
     def folder(self) -> Path:
         """The folder; it is found again if a person has renamed it."""
-        with suppress(OSError):  # the disk is gone: what is read next tells
+        with suppress(OSError):  # the disk is gone: the next read shows
             if not self._folder.exists():
                 beside = (one for one in self._folder.parent.iterdir() if (one / RUN).is_file())
                 self._folder = next(filter(self._is_in, beside), self._folder)

@@ -1,7 +1,7 @@
 """Recorder of live frames: keeps the last seconds, and writes recordings in the background.
 
 Frames go through a bounded queue to a thread that writes them. If the disk is full, too slow or fails, the recording
-ends with what was written and says why; the live view goes on.
+ends with what was written and says why; the live view continues.
 """
 
 import math

@@ -94,7 +94,7 @@ def _locked(recording: Recording) -> Iterator[IO[bytes]]:
 def _put_in_place(recording: Recording, lines: list[bytes]) -> tuple[int, str]:
     """Put each line at the place of its index, up to the last whole frame.
 
-    Return the number of frames, and where the original lines are, if they are kept.
+    Return the number of frames, and where the original lines are, if they are retained.
     """
     by_index = dict[int, bytes]()
     for text in lines:

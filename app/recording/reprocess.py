@@ -178,7 +178,7 @@ def _seen_before(recording: Recording, index: int) -> tuple[int, Frame] | None:
 
 
 def _of_registration(calibration: Calibration) -> object:
-    """Settings that affect the registration, besides dark and reference; the number of threads does not."""
+    """Settings that affect the registration, in addition to dark and reference; the number of threads does not."""
     bench = calibration.bench
     return bench.sensor, calibration.lattice, bench.field, replace(bench.registration, threads=1)
 

@@ -170,7 +170,7 @@ class RecordingWriter:
         lines = self._folder / FRAME_LINES  # if it is not where it was, no empty recording may take its place
         if not lines.exists() or not os.path.samestat(os.fstat(self._lines.fileno()), lines.stat()):
             raise RunError(f"{lines}: was removed or renamed during the recording; svwfs recover finishes it")
-        if ended_early:  # parts of a frame without a line; on a full disk their removal makes room for the rest
+        if ended_early:  # parts of a frame without a line; on a full disk their removal makes space for the rest
             for array in self._arrays.values():
                 array.remove(self.frames)
             os.ftruncate(self._lines.fileno(), self._lines_bytes)

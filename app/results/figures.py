@@ -165,7 +165,7 @@ def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
     figure.suptitle(
         f"pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
         f" centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px\n"
-        f"{found.rows} x {found.columns} whole lenslets, {lit.sum()} of the sensor's {lit.size} lit,"
+        f"{found.rows} x {found.columns} whole lenslets, {lit.sum()} of the sensor's {lit.size} with light,"
         f" {found.residual_px:.3f} px RMS off the lattice"
     )
     _draw_frame(figure.add_subplot(grid[:, 0]), reference, found)
@@ -185,7 +185,7 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
     for position, colour, style, name in (
         (cut, _CUT, ":", "cut by the frame's edge"),
         (beside, _BESIDE, "--", "whole, not among the sensor's lenslets"),
-        (own[lit], _LIT, "-", "lit"),
+        (own[lit], _LIT, "-", "with light"),
         (own[~lit], _DARK, "-", "dark"),
     ):
         corners = lattice.to_camera_px((position[:, None] + 0.94 * lattice.cell_corners) * lattice.pitch_px)

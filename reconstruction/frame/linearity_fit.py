@@ -1,7 +1,7 @@
 """Measurement of a camera's nonlinearity from exposures of one still image.
 
 All pixels of an exposure have been lit for the same time, and a pixel has the same light in each unit of time. So the
-ratio of bright to dim pixels, over the exposures, tells the curve apart from exposures that begin late and from light
+ratio of bright to dim pixels, over the exposures, separates the curve from exposures that begin late and from light
 that drifts, which scale all pixels alike.
 """
 
@@ -32,7 +32,7 @@ _MOST_ERROR = 0.005  # standard error of the light over the signal at the highes
 
 @dataclass(frozen=True, slots=True)
 class MeasuredLinearity:
-    """A nonlinearity with all that was found beside it."""
+    """A nonlinearity with everything else that was found."""
 
     linearity: Linearity
     sigma: float  # standard error of the light over the signal at the highest signal

@@ -92,7 +92,7 @@ class Correction:
 
 
 def field_positions_m(field: Field) -> Floats:
-    """Field positions, evenly spread over the field, at which correctors are judged, (position, xy)."""
+    """Field positions, evenly spread over the field, at which correctors are checked, (position, xy)."""
     along = np.linspace(-1, 1, _POSITIONS)
     y, x = (grid.ravel() for grid in np.meshgrid(along, along, indexing="ij"))
     inside = field.contains(x, y)

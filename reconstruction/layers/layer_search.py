@@ -8,7 +8,7 @@ favour a place behind them by far, so layers are sought there only if none befor
 Layers differ in strength. Taken for alike, two are found closer to each other than they are, where they explain less
 noise. So the strengths of their priors are found with the distances.
 
-Where two layers are needed, the sample may have depth. A *slab* stands for that: three layers, one between the others,
+Where two layers are needed, the sample may have depth. A *slab* represents that: three layers, one between the others,
 so that two ends are found, as two layers are. It explains two thin layers nearly as well as they do.
 """
 

@@ -156,7 +156,7 @@ class Layer:
     def phase(self, x_m: Floats, y_m: Floats, *, with_tilt: bool = False) -> Floats:
         """Phase at positions s (...), broadcast together, rad; NaN outside the footprint.
 
-        It has no tilt if there is another layer, because the tilts of two layers cannot be told apart; `with_tilt` adds
+        It has no tilt if there is another layer, because the tilts of two layers cannot be separated; `with_tilt` adds
         the share of this layer.
         """
         return self._on(x_m, y_m, self.coefficients[:, None], 1 if with_tilt else self._first)[..., 0]
@@ -267,7 +267,7 @@ class FrameEquations:
         estimate = components.estimate()
         variance = estimate.noise * estimate.ratio / (1 + estimate.ratio * components.singular**2)
         found, root = scale * (vectors @ estimate.values), scale[:, None] * vectors * np.sqrt(variance)
-        first = 1 if len(ratios) == 1 else 3  # the tilts of two layers cannot be told apart
+        first = 1 if len(ratios) == 1 else 3  # the tilts of two layers cannot be separated
         layers = tuple(
             Layer(ratio, math.nan, self.solver.footprint_m(ratio), coefficients, covariance, first)
             for ratio, coefficients, covariance in zip(

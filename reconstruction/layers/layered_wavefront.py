@@ -59,7 +59,7 @@ FREE = AssumedSample()
 def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bool = False) -> AssumedSample:
     """One layer where it explains the displacements; else what has the highest evidence.
 
-    That is any wavefront, too, if the sample `may_be_free`. A slab stands for two layers, unless the source hides
+    That is any wavefront, too, if the sample `may_be_free`. A slab represents two layers, unless the source hides
     displacements (`is_blind`): there its wavefronts are too free.
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a

@@ -1,7 +1,7 @@
 """A child process at low priority for long computations.
 
 There they take no turns at Python's lock with live frames. It ends as soon as its standard input closes, however its
-parent ends. Messages are pickled, their arrays beside the rest: so they are not copied under Python's lock.
+parent ends. Messages are pickled, their arrays next to the rest: so they are not copied under Python's lock.
 """
 
 import os

@@ -37,7 +37,7 @@ class Remembered(Generic[R]):
     """
 
     def __init__(self, most: int) -> None:
-        """`most` results are kept."""
+        """`most` results are retained."""
         self._most, self._results = most, OrderedDict[tuple[Any, ...], R]()
 
     def __call__(self, function: Callable[[*A], R], *args: *A) -> R:

@@ -22,7 +22,7 @@ _LETTERS = 15  # of a thread's name that Linux keeps
 
 @cache
 def worker_pool(threads: int) -> ThreadPoolExecutor:
-    """Pool of that many threads besides the caller, shared by the whole process."""
+    """Pool of that many threads in addition to the caller, shared by the whole process."""
     return ThreadPoolExecutor(threads, thread_name_prefix="reconstruction")
 
 

@@ -99,7 +99,7 @@ def smooth_screen(
         noise = generator.standard_normal((side, side))
         noise[ring:-ring, ring:-ring] = middle
     end = len(noise) - margin
-    # The two passes of gaussian_filter, the second only for the rows that are kept.
+    # The two passes of gaussian_filter, the second only for the rows that are retained.
     smooth = ndimage.gaussian_filter1d(noise, sigma, axis=0)[margin:end]
     smooth = ndimage.gaussian_filter1d(smooth, sigma, axis=1)[:, margin:end]
     return np.asarray(smooth - middle_of(smooth, enlarged_by + guard).mean(), np.float64)

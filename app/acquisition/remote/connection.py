@@ -125,7 +125,7 @@ class Connection(Commands):
 
     @property
     def activity(self) -> Activity:
-        """Work besides taking frames; also that the instrument does not answer."""
+        """Work other than taking frames; also that the instrument does not answer."""
         if self.is_silent:
             return Activity("the instrument's process does not answer", may_cancel=False)
         return self._activity
@@ -159,7 +159,7 @@ class Connection(Commands):
 
     @property
     def loss(self) -> str:
-        """Reason why the instrument ended, or was lost, also after `close`; empty if it goes on."""
+        """Reason why the instrument ended, or was lost, also after `close`; empty if it continues."""
         return str(self._ended or "")
 
     @property
@@ -208,7 +208,7 @@ class Connection(Commands):
         return self.shut_down()
 
     def begin_close(self) -> None:
-        """Leave; the instrument goes on."""
+        """Leave; the instrument continues."""
         self._closing.set()
         self._wakeup.notify()
 
@@ -220,7 +220,7 @@ class Connection(Commands):
 
     def _say(self, *messages: object) -> None:
         for message in messages:
-            with suppress(zmq.Again):  # the instrument stands still
+            with suppress(zmq.Again):  # the instrument is stopped
                 self._socket.send_multipart([self.address.key.encode(), encoded(message)], zmq.NOBLOCK)
 
     def _work(self) -> None:

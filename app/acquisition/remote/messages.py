@@ -71,7 +71,7 @@ class NewStatus:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """State of the instrument besides its frames and its status."""
+    """State of the instrument in addition to its frames and its status."""
 
     activity: Activity
     counts: FrameTotals

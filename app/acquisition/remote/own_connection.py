@@ -1,4 +1,4 @@
-"""The connection to the instrument of this window: closing it ends the instrument, unless its user lets it go on."""
+"""The connection to the instrument of this window: closing it ends the instrument, unless its user lets it continue."""
 
 import subprocess
 import time

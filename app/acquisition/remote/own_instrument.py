@@ -1,4 +1,4 @@
-"""The instrument of a window: a process that ends with it unless its user lets it go on.
+"""The instrument of a window: a process that ends with it unless its user lets it continue.
 
 It is started before what connects to it is loaded, which takes a second.
 """
@@ -37,14 +37,14 @@ class OwnInstrument:
 
     @property
     def _log(self) -> Path:
-        """File of what the process prints, also when it goes on without this window."""
+        """File of what the process prints, also when it continues without this window."""
         return file_of(self.name, "log")
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        """End the process, unless it is to go on: then its log stays."""
+        """End the process, unless it is to continue: then its log stays."""
         if self._connection is not None:
             self._connection.close(_LEAVES_S)
         else:
@@ -86,7 +86,7 @@ class OwnInstrument:
     def connect(self, bench: Bench) -> OwnConnection:
         """Begin to connect to the process of a bench, started if need be, after the end of the one before.
 
-        `RunError` if the one before does not end, or goes on, or as `start`.
+        `RunError` if the one before does not end, or continues, or as `start`.
         """
         from app.acquisition.remote.own_connection import OwnConnection  # noqa: PLC0415 - takes a second to load
 

@@ -1,7 +1,7 @@
 """The instrument's end: serves any number of clients, and waits for none of them.
 
 Frames go into a shared ring, everything else through one ZeroMQ socket, whose messages keep their order. One client has
-control; the others watch. A client that falls silent loses it; the measurement goes on.
+control; the others watch. A client that falls silent loses it; the measurement continues.
 """
 
 import inspect
@@ -179,7 +179,7 @@ class Server:
         """Begin a command; its future is answered when it is done."""
         try:
             future = self._begin(identity, command)
-        except Exception as error:  # noqa: BLE001 - the client is told
+        except Exception as error:  # noqa: BLE001 - the client is informed
             future = Future()
             future.set_exception(error)
 

@@ -159,7 +159,7 @@ class Publisher:
         count, measurement, is_shown_only = taken.count, taken.measurement, taken.is_shown_only
         try:
             message = Message(own_frame(measurement, self._keep(count, measurement), is_shown_only=is_shown_only))
-        except Exception as error:  # noqa: BLE001 - of this frame, whose clients are told
+        except Exception as error:  # noqa: BLE001 - of this frame, whose clients are informed
             lean = Measurement(measurement.frame, None, f"this frame cannot be shown: {error}", measurement.counts)
             message = Message(own_frame(lean, {}, is_shown_only=is_shown_only))
         if self._ring is None or not self._ring.has_room_for(message):

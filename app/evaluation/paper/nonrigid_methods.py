@@ -1,4 +1,4 @@
-"""Non-rigid registration methods that the paper names, beside svwfs's own in `svwfs paper`.
+"""Non-rigid registration methods that the paper names, next to svwfs's own in `svwfs paper`.
 
 They find a displacement for every pixel of a subimage, a flow, of which the values at the views are used.
 

@@ -68,7 +68,7 @@ class CameraPanel(Panel):
         self._lattice: Lattice | None = None
         self._sensor: Sensor | None = None
         self.full_scale = 0  # highest count; 0 is unknown
-        self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its room
+        self._reach = AdaptiveScale(MAGNIFICATIONS)  # longest arrow over its space
         self._magnification = 1.0  # of the arrows
         self._pointer: QPointF | None = None
         self._inspected: Lenslet | None = None
@@ -246,7 +246,7 @@ class CameraPanel(Panel):
                 brightness, colour = f"{brightness}: nearly saturated, shorten the exposure", theme.AMBER
             parts.append(brightness)
         colour_text(self.caption, colour)
-        has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the room
+        has_arrows = self._arrows.isVisible() and colour is theme.DIM  # a warning needs the space
         length = f"Arrows \N{MULTIPLICATION SIGN} {self._magnification:g}" if has_arrows else ""
         self.caption.setText("    ".join([*parts, self._pointed_at() or length]))
 

@@ -255,7 +255,7 @@ class StepButton(Button):
     """A step of the calibration: its name, its state as a lamp, and its time or value."""
 
     def __init__(self, name: str, tool_tip: str, clicked: Slot, *, widest: str = "00:00") -> None:
-        """Leave room for the `widest` time or value."""
+        """Leave space for the `widest` time or value."""
         super().__init__(name, tool_tip, clicked)
         self._name, self._about = name, tool_tip
         self._shown: tuple[Validity, str, str] = ("missing", "", "")

@@ -23,7 +23,7 @@ class _Images(QWidget):
     def __init__(self) -> None:
         super().__init__()
         names = ("Reference", "Frame", "Warped back", "Residual")
-        widest = "\N{MINUS SIGN}50000"  # number beside a colour bar
+        widest = "\N{MINUS SIGN}50000"  # number next to a colour bar
         self.tiles = {name: ViewGrid((0, 0), "", self, widest=widest, is_captioned=False) for name in names}
         self._names = [label(name, "dim", self) for name in names]
         self.tiles["Reference"].setToolTip("Spot image without the sample")

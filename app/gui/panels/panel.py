@@ -72,7 +72,7 @@ class DisplayState(QObject):
         self._view: tuple[int, int] | None = None  # as chosen; None: the middle one
 
     def proposed(self, name: str) -> str:
-        """Return the name of a file to propose: beside the replayed recording, and with its name, if there is one."""
+        """Return the name of a file to propose: next to the replayed recording, and with its name, if there is one."""
         if self.recording is None:
             return name
         frame = "" if self.replayed is None else f" {self.replayed[0]}"
@@ -99,7 +99,7 @@ class DisplayState(QObject):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Request:
-    """Something to compute beside the measurement."""
+    """Something to compute in the background."""
 
     of: object  # the measurement or wavefront
     choice: Hashable  # all else that the result depends on

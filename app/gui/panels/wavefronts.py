@@ -194,7 +194,7 @@ class WavefrontPanel(Panel):
             self.grid.set_captions(captions)
         reach = f"half width {self._reach_mrad.value:g} mrad" if quantity is Quantity.PSF else ""
         summary = presentation.summary(factor * numbers.mean, self.shown.unit)
-        if numbers.noise_rad is not None:  # it cannot be told from a flat one
+        if numbers.noise_rad is not None:  # it cannot be distinguished from a flat one
             summary = f"Mean RMS below noise ({number(factor * numbers.noise_rad)} {self.shown.unit})"
         self._summary.setText("; ".join(filter(None, (summary, self.menu.options.in_words, reach, doubt))))
         if self._enlarged is not None:
@@ -377,7 +377,7 @@ class DisplayMenu(QMenu):
         self.changed.connect(lambda: self.tilt.setChecked(self.options.removed >= TILT))
         remove.addAction(self.tilt)
         for mode, action in self.removed.items():
-            action.setObjectName(f"view/without {mode}")  # its state is kept between two starts
+            action.setObjectName(f"view/without {mode}")  # its state is restored at the next start
             action.setCheckable(True)
             action.toggled.connect(lambda _, mode=mode: self.change(removed=self.options.removed ^ {mode}))
             remove.addAction(action)

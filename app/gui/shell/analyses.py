@@ -59,7 +59,7 @@ class Analysis:
         self.request = self._result = None
 
     def _compute(self, request: Request) -> Any:
-        """Compute on one core: waiting BLAS threads take five times as long beside a measurement."""
+        """Compute on one core: waiting BLAS threads take five times as long during a measurement."""
         begun_s, is_first = time.monotonic(), math.isnan(self._taken_s)
         try:
             with one_blas_thread(), loading() if is_first else nullcontext():  # it may import packages

@@ -192,7 +192,7 @@ def _trust_libraries(bench: Bench) -> tuple[Library, ...]:
 
 
 class BenchDialog(QMessageBox):
-    """Shows one message with buttons that close it; the measurement continues beside it."""
+    """Shows one message with buttons that close it; the measurement continues meanwhile."""
 
     def show_message(self, title: str, html: str, choices: Choices) -> None:
         """Show a message; each button closes the dialog before it acts."""

@@ -75,7 +75,7 @@ class Controller(QObject):
 
     @property
     def left(self) -> str:
-        """Say that the instrument goes on, or why it has ended; empty if it ends with the window."""
+        """Say that the instrument continues, or why it has ended; empty if it ends with the window."""
         return (
             ""
             if self._process is None
@@ -208,9 +208,9 @@ class Controller(QObject):
             self.send(lambda _: connection.take_control())
 
     def ask_to_leave(self, then: Callable[[], object], parent: QWidget) -> bool:
-        """Ask whether the instrument goes on, and call `then`; return False if it ends with the window.
+        """Ask whether the instrument continues, and call `then`; return False if it ends with the window.
 
-        An instrument that another client controls goes on.
+        An instrument that another client controls continues.
         """
         if (connection := self.connection) is None:
             return False

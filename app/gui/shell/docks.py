@@ -104,7 +104,7 @@ class Dock(QDockWidget):
 
 
 class _TitleBar(QWidget):
-    """A header, which takes no room while it is compact."""
+    """A header, which takes no space while it is compact."""
 
     _is_compact = False
 
@@ -171,7 +171,7 @@ class PanelDocks:
         left = max(window.width() - window.height() + _AROUND_PX, window.width() // 2)  # the wavefronts are a square
         window.resizeDocks([first, wavefronts], [left, window.width() - left], Qt.Orientation.Horizontal)
         window.resizeDocks([camera, controls], [max(left - _CONTROLS_PX, 1), _CONTROLS_PX], Qt.Orientation.Horizontal)
-        # The camera has half of the height at least; with large texts the controls scroll, so that plots keep room.
+        # The camera has half of the height at least; with large texts the controls scroll, so that plots have space.
         room = window.height() - _AROUND_PX
         needed = controls.sizeHint().height() + 3 * window.fontMetrics().height()
         upper = min(max(needed, room // 2), round(_UPPER * room))

@@ -74,7 +74,7 @@ class TextDialog(QDialog):
 
 
 def _show_log(messages: MessageStrip) -> None:
-    if (window := messages.window()) is None:  # it is not kept: a button would keep it after its end
+    if (window := messages.window()) is None:  # it is not retained: a button would keep it after its end
         return
     dialog = TextDialog("log", "Message log", window)
     dialog.view.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))

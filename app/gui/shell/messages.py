@@ -173,7 +173,7 @@ class MessageStrip(QFrame):
             self._show(advice, theme.DIM)
 
     def show_closing(self, light: str) -> None:
-        """Show that the window closes when the devices have; `light` tells what becomes of it."""
+        """Show that the window closes when the devices have; `light` says what becomes of it."""
         self._show(f"closing: {light}; waiting for the frame that is being processed", theme.AMBER)
 
     @property

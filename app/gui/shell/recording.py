@@ -208,7 +208,7 @@ class RecordingBar(QFrame):
     def ask_to_end(self, then: Callable[[], object]) -> None:
         """Call `then`, after the user has agreed that a recording ends."""
         state = None if self._controller.acquisition is None else self._controller.acquisition.recording
-        if state is None or state.stage != "recording" or self._controller.left:  # it goes on, in its own process
+        if state is None or state.stage != "recording" or self._controller.left:  # it continues, in its own process
             then()
         else:
             question = f"the recording {state.folder.name} ends if another bench is opened"
@@ -275,7 +275,7 @@ class RecordingBar(QFrame):
             self._messages.warn("another window could not be started")
 
     def _restart(self) -> None:
-        """Go on with another acquisition."""
+        """Continue with another acquisition."""
         self._starting = self._asked_disk = None
         acquisition = self._controller.acquisition
         state = None if acquisition is None else acquisition.recording

@@ -22,7 +22,7 @@ _GAP_PX = 14  # between two parts
 
 
 class StatusLine(QWidget):
-    """Shows each value beside its name."""
+    """Shows each value next to its name."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -54,14 +54,14 @@ class StatusLine(QWidget):
             value.show_text(text)
 
     def update_text(self, status: Status | None, processes: str = "", *, trouble: str = "") -> None:
-        """Update the numbers; `processes` tells the state of each one, and `trouble` which is not alive."""
+        """Update the numbers; `processes` has the state of each, and `trouble` which is not alive."""
         if status is not None or trouble:
             state = trouble or ("running" if status is not None and status.is_running else "stopped")
             names = () if status is None else (status.camera_name, status.light_name)
             about = "\n".join(filter(None, [*names, processes]))
             self.devices.show_text(state, about, theme.RED if trouble else theme.DIM)
             for value in self._named:
-                value.setVisible(not trouble)  # the message needs the room
+                value.setVisible(not trouble)  # the message needs the space
         last = self._newest
         if last is None:
             return

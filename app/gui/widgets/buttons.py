@@ -11,7 +11,7 @@ from app.bench.settings_form import name_of
 Slot = Callable[..., object] | pyqtBoundSignal
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 _COMBO = QStyle.ComplexControl.CC_ComboBox
-_CURSOR_PX = 2  # that Qt leaves beside a chosen text
+_CURSOR_PX = 2  # that Qt leaves next to a chosen text
 
 
 class Button(QPushButton):
@@ -46,7 +46,7 @@ class Toggle(Button):
     def __init__(
         self, text: str, tool_tip: str, clicked: Slot | None = None, *, is_on: bool = False, key: str = ""
     ) -> None:
-        """Under its `key`, if any, its state is kept between two starts."""
+        """Under its `key`, if any, its state is restored at the next start."""
         super().__init__(text, tool_tip, clicked)
         self.setObjectName(key)
         self.setCheckable(True)

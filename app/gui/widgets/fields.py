@@ -43,7 +43,7 @@ class NumberField(QDoubleSpinBox):
             self.setStepType(QAbstractSpinBox.StepType.AdaptiveDecimalStepType)
         usual = max((f"{0:.{decimals}f}".rjust(decimals + 5, "0"), lowest), key=len)
         self.setMinimumWidth(self.fontMetrics().horizontalAdvance(usual) + BUTTONS_WIDTH_PX)  # independent of the range
-        self.setMinimumHeight(self.fontMetrics().height() + 8)  # as a choice beside it
+        self.setMinimumHeight(self.fontMetrics().height() + 8)  # as a choice next to it
         self.valueChanged.connect(self._enter)
         if (line := self.lineEdit()) is not None:
             line.textChanged.connect(self._mark)

@@ -1,4 +1,4 @@
-"""File work on threads: a disk of the network may answer late, and the window goes on meanwhile."""
+"""File work on threads: a disk of the network may answer late, and the window continues meanwhile."""
 
 import time
 from collections import deque

@@ -93,7 +93,7 @@ class Scrolled(QScrollArea):
         return QSize(contents.minimumSizeHint().width() + bar.sizeHint().width(), least.height())
 
     def sizeHint(self) -> QSize:  # noqa: N802 - Qt's name
-        """Return the size of the contents, which Qt would limit, and room for the scroll bar."""
+        """Return the size of the contents, which Qt would limit, and space for the scroll bar."""
         contents, bar = self.widget(), self.verticalScrollBar()
         if contents is None or bar is None:
             return super().sizeHint()

@@ -30,7 +30,7 @@ class _Axis(pg.AxisItem):  # type: ignore[misc] # pyqtgraph declares no types
     def tickValues(  # noqa: N802 - pyqtgraph's name
         self, low: float, high: float, size: float
     ) -> list[tuple[float, list[float]]]:
-        """Return spacing and values of each level; every other number or fewer if all have no room."""
+        """Return spacing and values of each level; every other number or fewer if all have no space."""
         levels: list[tuple[float, list[float]]] = super().tickValues(low, high, size)
         if not levels or not len(levels[0][1]):
             return levels
@@ -54,7 +54,7 @@ class Plot(QWidget):
     def __init__(
         self, title: str, bottom: str | None, keys: tuple[tuple[str, QColor], ...] = (), widest: str = "0.0"
     ) -> None:
-        """Make an empty plot with a legend of `keys`, and room for the `widest` number on its left axis.
+        """Make an empty plot with a legend of `keys`, and space for the `widest` number on its left axis.
 
         Without `bottom`, the text below it, there is no axis at the bottom.
         """

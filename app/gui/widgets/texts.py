@@ -30,7 +30,7 @@ def elided(text: str, font: QFontMetrics, width: int) -> str:
 class ElidedLabel(QLabel):
     """A text without minimum width; an ellipsis replaces what does not fit, and the tool tip has it all.
 
-    The text is kept from QLabel, which would request a new layout for each change.
+    The text is retained from QLabel, which would request a new layout for each change.
     """
 
     def __init__(self, role: str = "", text: str = "", *, lines: int = 1, least: int = 1) -> None:

@@ -1,4 +1,4 @@
-"""Colours, style sheet and icons of the window: dark for a dark room, or light as the desktop."""
+"""Colours, style sheet and icons of the window: dark for a dark lab, or light as the desktop."""
 
 import os
 import sys
@@ -105,7 +105,7 @@ def _end_without_display(kind: QtMsgType, _context: QMessageLogContext, text: st
 
 def show_ending(sentence: str, details: str) -> None:
     """Show why the program ended, with details on request, if there is no terminal."""
-    _application = styled_application()  # kept alive with the dialog
+    _application = styled_application()  # alive as long as the dialog
     dialog = QMessageBox(QMessageBox.Icon.Critical, "svwfs", sentence)
     dialog.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     dialog.setDetailedText(details)

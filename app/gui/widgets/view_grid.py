@@ -80,7 +80,7 @@ class Places:
 def arrange_views(
     room: tuple[int, int], shape: tuple[int, ...], *, bar_space: int, line_px: int, is_captioned: bool
 ) -> Places:
-    """Arrange maps of a shape (view_row, view_column, row, column) in a room, above captions that fit."""
+    """Arrange maps of a shape (view_row, view_column, row, column) in an area, above captions that fit."""
     captioned = _arrange(QSize(*room), shape, bar_space, line_px + 1) if is_captioned else None
     if captioned is not None and captioned.size.width() >= _LEAST_PX:
         return captioned
@@ -123,12 +123,12 @@ class ViewGrid(QWidget):
     ) -> None:
         """Take at least this width and height, px; show the text `empty` without maps.
 
-        The numbers beside the colour bar have room for the `widest` one, so that several grids are alike. Without
-        captions, the maps take their room.
+        The numbers next to the colour bar have space for the `widest` one, so that several grids are alike. Without
+        captions, the maps take their space.
         """
         super().__init__(parent)
         self._is_captioned = is_captioned
-        self.has_bar: bool | None = None  # None: if there is room
+        self.has_bar: bool | None = None  # None: if there is space
         self.is_hatched = True  # whether unknown pixels are hatched, or only grey
         self.maps: Maps | None = None
         self.empty = empty
@@ -318,7 +318,7 @@ class ViewGrid(QWidget):
             painter.fillRect(place.toRect(), _UNSURE)
 
     def _paint_captions(self, painter: QPainter) -> None:
-        """Write the number at the left, and the place at the right if there is room for both."""
+        """Write the number at the left, and the place at the right if there is space for both."""
         line, width = self.fontMetrics().height(), self.places.size.width()
         number, numbers_px = self._wording(0, width)
         place, _ = self._wording(1, width - numbers_px - _BETWEEN_PX)
@@ -365,7 +365,7 @@ class ViewGrid(QWidget):
         return QRect(top.right() + _BAR_MARGIN_PX, first, _BAR_WIDTH_PX, bottom.bottom() - first + 1)
 
     def _ticks(self, scale: ColourScale, bar: QRect) -> tuple[tuple[float, str], ...]:
-        """Return all numbers, both ends with the middle, or the ends only, as fit beside the bar."""
+        """Return all numbers, both ends with the middle, or the ends only, as fit next to the bar."""
         ticks, most = tuple(scale.ticks), bar.height() // self.fontMetrics().height()
         if len(ticks) > most:
             ticks = ticks[:: max((len(ticks) - 1) // 2, 1)]

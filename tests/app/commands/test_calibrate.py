@@ -188,11 +188,11 @@ def test_lattice_plot_marks_lit_dark_outside_and_cut_lenslets(reference: Path) -
     figure = lattice_figure(found.reference, found.survey)
     labels = [str(text.get_text()) for text in figure.legends[0].get_texts()]
     count = {label.partition(" ")[2]: int(label.partition(" ")[0]) for label in labels if label[0].isdigit()}
-    assert count["lit"] + count["dark"] == 12 * 15
+    assert count["with light"] + count["dark"] == 12 * 15
     assert count["dark"] == 1
     assert count["whole, not among the sensor's lenslets"] >= 3 * 15
     assert count["cut by the frame's edge"] > 30
-    assert "179 of the sensor's 180 lit" in figure.get_suptitle()
+    assert "179 of the sensor's 180 with light" in figure.get_suptitle()
     dark = next(cells for cells in figure.axes[0].collections if str(cells.get_label()) == "1 dark")
     middle = np.asarray(dark.get_paths()[0].vertices)[:4].mean(axis=0)
     y, x = np.array(DEAD) - 7
