@@ -247,3 +247,41 @@ def test_named_commands_and_options_exist(document: Path) -> None:
         command = known.resolve_command(context, words[:1])[1] if words[0] in known.commands else known
         options = {option for each in command.params for option in each.opts} | {"--help"}
         assert {word.strip("[]") for word in words if word.strip("[").startswith("--")} <= options, text
+
+
+DEVICE_HEADINGS = (
+    *(
+        "Models, and what was really tried",
+        "Install",
+        "Find it",
+        "Smallest bench section",
+        "All settings",
+        "First check",
+    ),
+    *("What the driver changes when it opens", "Limits", "Messages and what to do"),
+)
+
+
+@pytest.mark.parametrize("page", sorted(DOCS.glob("devices_*.md")), ids=lambda path: path.stem)
+def test_device_pages_have_the_same_headings(page: Path) -> None:
+    text = page.read_text("utf-8")
+    found = re.findall(r"^## (.*)$", text, re.MULTILINE)
+    assert [heading for heading in found if heading in DEVICE_HEADINGS] == list(DEVICE_HEADINGS)
+    drivers = re.findall(r"<!-- settings (\w+) (\w+) -->", text)
+    assert drivers
+    assert all(driver in DRIVERS[section] for section, driver in drivers)
+
+
+def test_every_real_driver_has_a_page() -> None:
+    told = "\n".join(page.read_text("utf-8") for page in DOCS.glob("devices_*.md"))
+    drivers = {driver for section in DRIVERS.values() for driver in section} - {"simulated"}
+    assert not {driver for driver in drivers if f"`{driver}`" not in told and f'driver = "{driver}"' not in told}
+
+
+def test_pages_stay_few_and_the_readme_short() -> None:
+    pages = {path.stem for path in DOCS.glob("*.md")} - {"api", "bench", "commands"}  # these are generated
+    assert len(pages) <= 25
+    readme = (ROOT / "README.md").read_text("utf-8")
+    assert len(readme.splitlines()) <= 120
+    before, _, _ = readme.partition("\n    ")  # the first command
+    assert len(before.split()) <= 90

@@ -43,6 +43,7 @@ _IN_DOCS = {
     "history": "window_history",
     "layers": "window_layers",
     "calibration": "window_calibration",
+    "stale": "window_stale",
 }
 # Middles of the numbers of README and tour, shares of width and height: verdict, camera, controls, wavefronts, plots,
 # messages, recording, status.
