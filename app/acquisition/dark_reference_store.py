@@ -87,11 +87,7 @@ class DarkReferenceStore:
     def doubt(self, now: AcquisitionSettings) -> str:
         """Return why the average does not fit the current frames; empty if it does."""
         if self._used is None:
-            advice = (
-                "take the sample out and take one"
-                if self._is_lit
-                else "background estimated from the image: take one (D)"
-            )
+            advice = "take the sample out and take one" if self._is_lit else "background estimated: take one (D)"
             return f"no {self._what} yet: {advice}"
         changed = self._used.settings_then.difference(now, is_lit=self._is_lit)
         return f"the {self._what} was taken {changed}: take it again" if changed else ""

@@ -55,10 +55,7 @@ def live(
         ),
     ] = None,
     out: Annotated[
-        Path,
-        options.folder_option(
-            "Folder for screenshot, results and timings when the window closes by itself (--seconds, or no display)."
-        ),
+        Path, options.folder_option("Folder for screenshot, results and timings, with --seconds or without a display.")
     ] = _LIVE_OUT,
     overwrite: options.Overwrite = False,
     trust_library: options.Trust = False,

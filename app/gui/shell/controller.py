@@ -76,11 +76,8 @@ class Controller(QObject):
     @property
     def left(self) -> str:
         """Say that the instrument continues, or why it has ended; empty if it ends with the window."""
-        return (
-            ""
-            if self._process is None
-            else self._process.loss or "the instrument keeps running" * self._process.goes_on
-        )
+        process = self._process
+        return "" if process is None else process.loss or "the instrument keeps running" * process.goes_on
 
     @property
     def _process(self) -> Connection | None:
@@ -219,11 +216,7 @@ class Controller(QObject):
             return True
         state = connection.recording
         recording = state.folder.name if state is not None and state.stage == "recording" else ""
-        recorded = (
-            f"recording {recording} continues; if you stop the instrument, the recording ends"
-            if recording
-            else "nothing is recorded"
-        )
+        recorded = f"recording {recording} continues; Stop ends it" if recording else "nothing is recorded"
         box = QMessageBox(parent)
         box.setIcon(QMessageBox.Icon.Question)
         box.setWindowTitle("svwfs")

@@ -55,16 +55,8 @@ class MessageStrip(QFrame):
         self.progress = QProgressBar()
         self.progress.setFixedWidth(200)
         self.progress.setTextVisible(False)
-        hidden = (
-            self.reconnect,
-            self.control,
-            self.accept,
-            self.discard,
-            self.dismiss,
-            self.progress,
-            self.cancel,
-            self.explain,
-        )
+        buttons = self.reconnect, self.control, self.accept, self.discard, self.dismiss
+        hidden = (*buttons, self.progress, self.cancel, self.explain)
         for widget in hidden:
             widget.hide()
         fill_strip(self, (self.text, 1), *hidden, self.show_log)
@@ -207,5 +199,5 @@ class MessageStrip(QFrame):
         if (sentence, colour) != self._shown:
             self._shown = (sentence, colour)
             self.text.setText(sentence)
-            self.explain.setVisible(colour is not theme.DIM and bool(entry_of(sentence)))
+            self.explain.setVisible(colour in (theme.RED, theme.AMBER) and bool(entry_of(sentence)))
             colour_text(self.text, colour)

@@ -68,7 +68,7 @@ def test_docs_print_pages_and_entries(monkeypatch: pytest.MonkeyPatch, capsys: p
     for path in DOCS.rglob("*.md"):
         assert path.relative_to(DOCS).with_suffix("").as_posix() in listed
     assert printed(capsys, monkeypatch, "tour").startswith("# A tour of the window")
-    for words in (("no-dark-yet",), ("No", "dark", "yet"), ("no dark frame; background estimated from the image",)):
+    for words in (("no-dark-yet",), ("No", "dark", "yet"), ("no dark yet: background estimated: take one (D)",)):
         assert printed(capsys, monkeypatch, *words).startswith("No dark yet\n")
     assert run(monkeypatch, "docs", "xyzzy") == 2
     assert "svwfs docs lists the pages" in capsys.readouterr().err
