@@ -23,11 +23,11 @@ class LensletStatus(IntEnum):
     """Result of the registration of a lenslet; only CONVERGED yields a slope."""
 
     CONVERGED = 0
-    DARK = 1  # no light in the reference or in the frame
+    DARK = 1  # without light in the frame, or on bad pixels
     SATURATED = 2
     DIVERGED = 3
     LEFT_CELL = 4  # beyond the dynamic range: the subimage reaches into the neighbour's cell
-    OFF_CAMERA = 5  # the cell is not entirely on the camera
+    ABSENT = 5  # without an image in the reference: outside the pupil or off the frame
     EXCLUDED = 6  # by hand
 
     @property
@@ -42,7 +42,7 @@ _REASONS = {
     LensletStatus.SATURATED: "saturated",
     LensletStatus.DIVERGED: "no match with the reference",
     LensletStatus.LEFT_CELL: "left its cell",
-    LensletStatus.OFF_CAMERA: "not fully on the camera",
+    LensletStatus.ABSENT: "no image in the reference",
     LensletStatus.EXCLUDED: "excluded by hand",
 }
 
@@ -140,13 +140,18 @@ class Displacement:
         return np.asarray(np.einsum("rcqdqd->rcqd", self.covariance))
 
     @property
+    def present(self) -> Booleans:
+        """True for lenslets with an image in the reference, (lenslet_row, lenslet_column)."""
+        return np.asarray(self.outcome != LensletStatus.ABSENT)
+
+    @property
     def summary(self) -> list[str]:
-        """Number of lenslets lost for each reason, and the share of the dynamic range that is used, in words."""
-        counts = [
-            (np.count_nonzero(self.outcome == outcome), outcome.reason) for outcome in LensletStatus if outcome.reason
-        ]
+        """Valid lenslets, lost ones by reason, and the used share of the dynamic range, in words."""
+        valid = f"{np.count_nonzero(self.valid)} of {np.count_nonzero(self.present)} lenslets valid"
+        lost = [status for status in LensletStatus if status.reason and status is not LensletStatus.ABSENT]
+        counts = [(np.count_nonzero(self.outcome == status), status.reason) for status in lost]
         used = f"{100 * np.nanmax(self.range_used, initial=0.0):.0f} % of the dynamic range used"
-        return [*(f"{count} lost: {why}" for count, why in counts if count), used]
+        return [valid, *(f"{count} lost: {why}" for count, why in counts if count), used]
 
     @property
     def mean(self) -> Floats:

@@ -64,7 +64,7 @@ def fit_at_lenslets(sensor: Sensor, basis: PupilBasis, known: Booleans) -> tuple
 
     Returns modes and the matrix (pupil_mode, lenslet) from wavefronts to coefficients; zero for lenslets without use.
     """
-    least = min(sensor.lenslet_rows, sensor.lenslet_columns)
+    least = min(sensor.lenslets)
     modes = pupil_modes(sensor, basis, min(_MOST_MODES, number_up_to(least - 1)))
     used = (known & modes.inside).ravel()
     fit = np.full((len(modes.values), used.size), 0.0 if used.any() else np.nan)

@@ -17,6 +17,7 @@ from typing_extensions import Doc
 
 from reconstruction.annotated_settings import Checked
 from reconstruction.arrays import Booleans, Floats
+from reconstruction.errors import ReconstructionError
 from reconstruction.pupil import Pupil
 
 Arrangement: TypeAlias = Literal["square", "hexagonal"]
@@ -25,6 +26,7 @@ Arrangement: TypeAlias = Literal["square", "hexagonal"]
 _ROW_SPACING = {"square": 1.0, "hexagonal": math.sqrt(3) / 2}  # in pitches
 _ROW_OFFSET = {"square": 0.0, "hexagonal": 0.25}  # of a row from the lattice's middle, odd rows to +x, in pitches
 
+_MOST_LENSLETS = 40_000
 
 STARS, STAR_SPACING_M = 3, 0.5e-3  # the paper's grid of stars, on a side; the views of the field lie at them
 
@@ -40,8 +42,12 @@ def require(conditions: Mapping[str, bool]) -> None:
 class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Number of lenslets evaluated along y")]
-    lenslet_columns: Annotated[int, Ge(2), Le(1000), Doc("Number of lenslets evaluated along x")]
+    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Lenslets along y. Omitted: as the reference shows")] | None = (
+        None
+    )
+    lenslet_columns: (
+        Annotated[int, Ge(2), Le(1000), Doc("Lenslets along x. Omitted: as the reference shows")] | None
+    ) = None
     lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
     lenslet_focal_length_m: Annotated[
         float, Ge(1e-5), Le(2), Doc("Focal length of a lenslet at the wavelength; the camera is in its focal plane")
@@ -53,10 +59,19 @@ class Sensor(Checked):
 
     def faults(self) -> Iterator[tuple[str, str]]:
         """Yield settings that contradict others, and why."""
-        if self.lenslet_rows * self.lenslet_columns > 40_000:
-            yield "lenslet_rows", "times lenslet_columns must be at most 40000"
+        if (self.lenslet_rows or 1) * (self.lenslet_columns or 1) > _MOST_LENSLETS:
+            yield "lenslet_rows", f"times lenslet_columns must be at most {_MOST_LENSLETS}"
         if self.lenslet_pitch_m < 8 * self.pixel_pitch_m:
             yield "lenslet_pitch_m", "must be at least 8 pixels"
+
+    @property
+    def lenslets(self) -> tuple[int, int]:
+        """Rows and columns of lenslets, of which some may be absent; `ReconstructionError` if a reference must tell."""
+        if self.lenslet_rows is None or self.lenslet_columns is None:
+            raise ReconstructionError(
+                "sensor.lenslet_rows and lenslet_columns are omitted, and only a reference shows them: set them"
+            )
+        return self.lenslet_rows, self.lenslet_columns
 
     @property
     def wavenumber_rad_per_m(self) -> float:
@@ -91,13 +106,14 @@ class Sensor(Checked):
     @property
     def pupil_half_width_m(self) -> tuple[float, float]:
         """Half the width of the lattice along x and y, where the normalised pupil position is 1."""
-        columns = self.lenslet_columns + 2 * _ROW_OFFSET[self.arrangement]
-        return columns * self.lenslet_pitch_m / 2, self.lenslet_rows * self.row_spacing_m / 2
+        rows, columns = self.lenslets
+        columns_wide = columns + 2 * _ROW_OFFSET[self.arrangement]
+        return columns_wide * self.lenslet_pitch_m / 2, rows * self.row_spacing_m / 2
 
     @property
     def lenslet_centers_m(self) -> Floats:
         """Pupil positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
-        return lenslet_centers(self.arrangement, self.lenslet_rows, self.lenslet_columns) * self.lenslet_pitch_m
+        return lenslet_centers(self.arrangement, *self.lenslets) * self.lenslet_pitch_m
 
     @property
     def is_in_pupil(self) -> Booleans:
@@ -120,12 +136,12 @@ class Sensor(Checked):
     def pupil_x_m(self) -> Floats:
         """Pupil position of the centres of the lenslet columns, (lenslet_column,); only in a square lattice."""
         require({"lenslet columns have one x position only in a square lattice": self.arrangement == "square"})
-        return centered_steps(self.lenslet_columns) * self.lenslet_pitch_m
+        return centered_steps(self.lenslets[1]) * self.lenslet_pitch_m
 
     @property
     def pupil_y_m(self) -> Floats:
         """Pupil position of the centres of the lenslet rows, (lenslet_row,)."""
-        return centered_steps(self.lenslet_rows) * self.row_spacing_m
+        return centered_steps(self.lenslets[0]) * self.row_spacing_m
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,6 +153,13 @@ class Lattice(Checked):
     pitch_px: Annotated[float, Ge(8), Le(10_000), Doc("Measured distance between two lenslets")]
     rotation_rad: Annotated[float, Ge(-0.8), Le(0.8)] = 0.0
     arrangement: Annotated[Arrangement, Doc("Arrangement of the lenslets")] = "square"
+    stretch: (
+        Annotated[
+            tuple[Annotated[float, Ge(-0.1), Le(0.1)], Annotated[float, Ge(-0.1), Le(0.1)]],
+            Doc("Excess of the pitch along x and along the diagonal over its mean, relative. Omitted: none"),
+        ]
+        | None
+    ) = None
 
     @property
     def turn(self) -> Floats:
@@ -151,6 +174,26 @@ class Lattice(Checked):
     def from_camera_px(self, position_px: Floats) -> Floats:
         """Lattice positions, px from the lattice's middle, of camera positions (..., xy)."""
         return np.asarray((position_px - [self.center_x_px, self.center_y_px]) @ self.turn.T)
+
+    @property
+    def pitch_matrix_px(self) -> Floats:
+        """Symmetric matrix (2, 2) from row vectors in pitches to those in px along the lattice."""
+        along_x, diagonal = self.stretch or (0.0, 0.0)
+        return self.pitch_px * np.array([[1 + along_x, diagonal], [diagonal, 1 - along_x]])
+
+    def pitch_text(self, digits: int) -> str:
+        """The pitch in words; the least and the largest if it depends on the direction."""
+        uneven = math.hypot(*self.stretch or ())
+        pitches_px = {self.pitch_px * (1 - uneven): None, self.pitch_px * (1 + uneven): None}
+        return " x ".join(f"{pitch_px:.{digits}f}" for pitch_px in pitches_px) + " px"
+
+    def camera_px(self, position: Floats) -> Floats:
+        """Camera positions of lattice positions (..., xy), pitches from the lattice's middle."""
+        return self.to_camera_px(position @ self.pitch_matrix_px)
+
+    def in_pitches(self, position_px: Floats) -> Floats:
+        """Lattice positions, pitches from the lattice's middle, of camera positions (..., xy)."""
+        return np.asarray(self.from_camera_px(position_px) @ np.linalg.inv(self.pitch_matrix_px))
 
     @property
     def row_spacing(self) -> float:
@@ -170,7 +213,7 @@ class Lattice(Checked):
 
     def lenslet_centers_px(self, lenslet_rows: int, lenslet_columns: int) -> Floats:
         """Camera positions of the lenslet centres, (lenslet_row, lenslet_column, xy)."""
-        return self.to_camera_px(lenslet_centers(self.arrangement, lenslet_rows, lenslet_columns) * self.pitch_px)
+        return self.camera_px(lenslet_centers(self.arrangement, lenslet_rows, lenslet_columns))
 
     def cells_at(
         self, position_px: Floats, lenslet_rows: int, lenslet_columns: int
@@ -184,11 +227,11 @@ class Lattice(Checked):
             a cell of the lattice, (...).
         """
         counts, size = np.array([lenslet_columns, lenslet_rows]), np.array([1.0, self.row_spacing])
-        in_cells = self.from_camera_px(position_px) / self.pitch_px / size + counts / 2
+        in_cells = self.in_pitches(position_px) / size + counts / 2
         in_cells[..., 0] -= _row_offset(self.arrangement, np.floor(in_cells[..., 1]))
         cell = np.floor(in_cells)
         inside = np.all((cell >= 0) & (cell < counts), axis=-1)
-        return cell.astype(np.intp), (in_cells - cell - 0.5) * size * self.pitch_px, inside
+        return cell.astype(np.intp), (in_cells - cell - 0.5) * size @ self.pitch_matrix_px, inside
 
 
 def lenslet_centers(arrangement: Arrangement, lenslet_rows: int, lenslet_columns: int) -> Floats:

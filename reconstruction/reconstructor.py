@@ -103,9 +103,8 @@ def _called(what: str, kind: type | None, function: Any, *arguments: Any, **more
 
 def _require_shape(what: str, found: tuple[int, ...], sensor: Sensor) -> None:
     """Raise `ReconstructionError` unless something has a value for each lenslet."""
-    lenslets = sensor.lenslet_rows, sensor.lenslet_columns
-    if found != lenslets:
-        raise ReconstructionError(f"{what} must be of {lenslets} lenslets (rows, columns), not {found}")
+    if found != sensor.lenslets:
+        raise ReconstructionError(f"{what} must be of {sensor.lenslets} lenslets (rows, columns), not {found}")
 
 
 class _Registration(NamedTuple):
@@ -524,9 +523,10 @@ def _why_lost(outcome: LensletStatuses) -> str:
     """Probable cause, if nearly all lenslets are lost."""
     counts = np.bincount(outcome.ravel(), minlength=len(LensletStatus)).tolist()
     left, saturated = counts[LensletStatus.LEFT_CELL], counts[LensletStatus.SATURATED]
-    if saturated > outcome.size / 4:
+    many = (outcome.size - counts[LensletStatus.ABSENT]) / 4
+    if saturated > many:
         return f"{saturated} are saturated, {TOO_BRIGHT}"
-    if left > outcome.size / 4:
+    if left > many:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
     unlike = counts[LensletStatus.DIVERGED]
     return f"{unlike} subimages look different: another mask, out of focus, moved or partly blocked?"

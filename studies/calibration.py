@@ -86,7 +86,7 @@ def _random(bench: Bench, seed: int) -> Iterator[Reference]:
     """Frames with a random lattice each, whose edge cuts a ring of lenslets."""
     rng = np.random.default_rng(seed)
     sensor, pitch_px = bench.sensor, bench.sensor.lenslet_pitch_px
-    rows, columns = (int((count + _ROOM) * pitch_px) for count in (sensor.lenslet_rows, sensor.lenslet_columns))
+    rows, columns = (int((count + _ROOM) * pitch_px) for count in sensor.lenslets)
     for mask in _MASKS:
         lattice = Lattice(
             center_x_px=(columns - 1) / 2 + rng.uniform(-_CENTER_PX, _CENTER_PX),
@@ -103,7 +103,7 @@ def _random(bench: Bench, seed: int) -> Iterator[Reference]:
 def _faint(reference: Reference) -> tuple[Image, Floats]:
     """The camera's frame, counts, and 1 for living, 0 for dead lenslets (lenslet_row, lenslet_column)."""
     sensor, ring = reference.bench.sensor, _BORDER + 1
-    shape = sensor.lenslet_rows + 2 * ring, sensor.lenslet_columns + 2 * ring
+    shape = sensor.lenslets[0] + 2 * ring, sensor.lenslets[1] + 2 * ring
     alive = (np.random.default_rng(reference.seed).random(shape) >= _DEAD_SHARE).astype(np.float64)
     uneven = np.add.outer(*(np.linspace(0.5, _DIMMEST / 2, count) for count in shape))
     light = reference.light * by_pixel(alive * uneven, reference.lattice, *reference.light.shape)
@@ -135,7 +135,7 @@ def lattice_trial(reference: Reference, light: Image, alive: Floats | None) -> R
 def _errors(found: Survey, truth: Lattice, sensor: Sensor, alive: Floats | None) -> dict[str, float]:
     """Return errors of a lattice by name with unit; `alive` as in `lattice_trial`."""
     lattice = found.lattice
-    whole = abs(found.rows - sensor.lenslet_rows) + abs(found.columns - sensor.lenslet_columns)
+    whole = abs(found.rows - sensor.lenslets[0]) + abs(found.columns - sensor.lenslets[1])
     is_lit = np.ones_like(found.illuminated) if alive is None else alive > 0
     return {
         "centre (px)": math.hypot(lattice.center_x_px - truth.center_x_px, lattice.center_y_px - truth.center_y_px),

@@ -148,7 +148,7 @@ def _solves(frames: TimedFrames, budget_s: float) -> list[Row]:
     slopes = _slopes(frames, np.nan_to_num(coefficients))
     slopes = slopes.reshape(-1, *slopes.shape[2:])
     valid = np.ones(coefficients.shape[:2], np.bool_)
-    bare = _bare_southwell(sensor.lenslet_rows, sensor.lenslet_columns, sensor.lenslet_pitch_m)
+    bare = _bare_southwell(*sensor.lenslets, sensor.lenslet_pitch_m)
     calls = {"svwfs": partial(_zonal, frames, slopes, valid), "scipy_splu": partial(bare, slopes)}
     return _timed("zonal solve", calls, "svwfs", budget_s)
 
@@ -187,7 +187,7 @@ def residual_rad(frames: TimedFrames, coefficients: Floats) -> float:
     if frames.truth is None:
         return math.nan
     sensor = frames.bench.sensor
-    coefficients = coefficients.reshape(sensor.lenslet_rows, sensor.lenslet_columns, *coefficients.shape[1:])
+    coefficients = coefficients.reshape(*sensor.lenslets, *coefficients.shape[1:])
     valid = np.asarray(np.isfinite(coefficients).all(axis=(2, 3)))
     slopes = _slopes(frames, np.swapaxes(coefficients, 2, 3))
     return float(np.nanmean(rms(_zonal(frames, slopes, valid) - frames.truth)))
@@ -292,7 +292,7 @@ class _Windows:
     def __init__(self, frames: TimedFrames) -> None:
         self._dark = frames.dark
         self.pitch_px = round(frames.lattice.pitch_px)
-        self.rows, self.columns = frames.bench.sensor.lenslet_rows, frames.bench.sensor.lenslet_columns
+        self.rows, self.columns = frames.bench.sensor.lenslets
         first = np.array([frames.lattice.center_y_px, frames.lattice.center_x_px])
         first -= (np.array([self.rows, self.columns]) * self.pitch_px - 1) / 2
         self.top, self.left = (round(float(value)) for value in first)

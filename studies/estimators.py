@@ -84,7 +84,7 @@ def compare(
 def without_wavefront(estimator: Estimator, *, curve: str, at: float | str) -> Row:
     """Return the row of a frame that has no wavefront: all lenslets are lost."""
     sensor = estimator.calibration.bench.sensor
-    return {"curve": curve, "at": at, "rms_rad": math.nan, "lost": sensor.lenslet_rows * sensor.lenslet_columns}
+    return {"curve": curve, "at": at, "rms_rad": math.nan, "lost": math.prod(sensor.lenslets)}
 
 
 def residual(

@@ -139,7 +139,7 @@ def _pupil(bench: Bench, imperfections: Imperfections, model: ForwardModel) -> t
     """Amplitude and phase, rad at the bench's wavelength, that beam and lenslets add, (y, x)."""
     sensor, random = bench.sensor, np.random.default_rng([bench.simulation.seed, _STREAM])
     x_m, y_m, pitch_m = model.sample_x_m, model.sample_y_m, sensor.lenslet_pitch_m
-    shape = sensor.lenslet_rows, sensor.lenslet_columns, _DEGREE + 1, _DEGREE + 1
+    shape = *sensor.lenslets, _DEGREE + 1, _DEGREE + 1
     n, m = np.indices(shape[2:])
     of_lenslet = random.standard_normal(shape)  # coefficients of P_n(eta) P_m(xi) of unit RMS
     of_lenslet[..., (n + m < 2) | (n + m > _DEGREE)] = 0

@@ -39,7 +39,7 @@ def lattice(asked: Asked, errors_px: Sequence[float] = (0.0, 0.5, 1.0, 2.0, 3.0)
     def wrong(bench: Bench, kind: str, error_px: float) -> Bench:
         """Shift the outermost lenslets by an error."""
         right = bench.design_lattice(bench.camera_model.rows, bench.camera_model.columns)
-        far_px = (max(bench.sensor.lenslet_rows, bench.sensor.lenslet_columns) - 1) / 2 * right.pitch_px
+        far_px = (max(bench.sensor.lenslets) - 1) / 2 * right.pitch_px
         changes: dict[str, dict[str, Any]] = {
             "centre": {"center_x_px": right.center_x_px + error_px},
             "pitch": {"pitch_px": right.pitch_px * (1 + error_px / far_px)},
@@ -83,7 +83,7 @@ def _over_errors(
 def dead(asked: Asked, shares: Sequence[float] = (0.0, 0.05, 0.1, 0.2, 0.3)) -> Made:
     """Residual with dead lenslets, and of the wavefront at the dead ones."""
     bench, rows = asked.bench, list[Row]()
-    reference, shape = NoiseFreeFrames(bench).reference(), (bench.sensor.lenslet_rows, bench.sensor.lenslet_columns)
+    reference, shape = NoiseFreeFrames(bench).reference(), bench.sensor.lenslets
     lenslets = bench.design_lattice(*reference.shape)
     for screen, fraction in steps(list(product(seeded(bench, asked.seeds), shares)), "dead lenslets"):
         frame = NoiseFreeFrames(screen).frame()

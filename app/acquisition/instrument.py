@@ -193,8 +193,13 @@ class Instrument:
         of_reference = of_reference or judged.reasons.get(Fault.CLIPPED, "")  # its other faults are warnings
         blamed = "" if self._is_of_settings else problem
         self._search_problem = "" if self._solver is None else self._solver.problem
+        sensor, bench = self.bench.sensor, self.bench
+        if estimator is not None:
+            rows, columns = estimator.reconstructor.sensor.lenslets
+            bench = replace(bench, sensor=replace(sensor, lenslet_rows=rows, lenslet_columns=columns))
+        is_counted = None not in {bench.sensor.lenslet_rows, bench.sensor.lenslet_columns}
         return Status(
-            bench=self.bench,
+            bench=bench,
             camera_name=camera.name,
             light_name=light.name,
             capabilities=camera.capabilities,
@@ -213,7 +218,7 @@ class Instrument:
             is_replay=isinstance(light, RecordedLight),
             dark=self.darks.state(of_dark),
             reference=self.references.state(blamed or of_reference),
-            lattice=self._lattice,
+            lattice=self._lattice if is_counted else None,
             warning=light.off_reason or problem or of_dark or of_reference or self._search_problem or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
             is_calibrated=estimator is not None,

@@ -116,8 +116,7 @@ def has_moved(found: Lattice, status: Status) -> bool:
     sensor, before = status.bench.sensor, status.bench.lattice
     if before is None:
         return False  # the reference will show it
-    shape = sensor.lenslet_rows, sensor.lenslet_columns
-    moved_px = found.lenslet_centers_px(*shape) - before.lenslet_centers_px(*shape)
+    moved_px = found.lenslet_centers_px(*sensor.lenslets) - before.lenslet_centers_px(*sensor.lenslets)
     return bool(np.linalg.norm(moved_px, axis=-1).max() > _SAME_LATTICE * before.pitch_px)
 
 

@@ -97,22 +97,29 @@ class Bench:
         if self.has_manual_stage and not has_real_light:
             known = ", ".join(f'"{driver}"' for driver in DRIVERS["light"] if driver != "simulated")
             yield "light.driver", f'must be one of {known} with camera.driver = "{self.camera.driver}"'
-        designed_px = self.sensor.lenslet_pitch_px
-        if self.lattice is not None and not 0.9 < self.lattice.pitch_px / designed_px < 1.1:
-            ratio = f"sensor.lenslet_pitch_m / pixel_pitch_m = {designed_px:.4g}"
-            yield "lattice.pitch_px", f"= {self.lattice.pitch_px:g} is far from {ratio}"
+        if self.lattice is not None:
+            yield from self._faults_of_lattice(self.lattice)
         if self.light_model.lines:
             mean_m = math.fsum(length_m * share for length_m, share in self.light_model.lines)
             if not math.isclose(mean_m, self.sensor.wavelength_m, rel_tol=_SAME_WAVELENGTH):
                 nominal = f"sensor.wavelength_m = {self.sensor.wavelength_m:g}"
                 yield "light.wavelengths_m", f"have the mean {mean_m:g}, more than 1 % from {nominal}"
-        shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns
+        shape = self.sensor.lenslet_rows, self.sensor.lenslet_columns  # any, if omitted
         for lenslet in self.registration.excluded:
-            if not all(0 <= index < count for index, count in zip(lenslet, shape, strict=True)):
+            if not all(0 <= index < (count or 1000) for index, count in zip(lenslet, shape, strict=True)):
                 why = f"is wrong: there is no lenslet {list(lenslet)} among {shape[0]} x {shape[1]}"
                 yield "registration.excluded", why
-        if self.lattice is not None and self.lattice.arrangement != self.sensor.arrangement:
-            yield "lattice.arrangement", f'= "{self.sensor.arrangement}" is missing'
+
+    def _faults_of_lattice(self, lattice: Lattice) -> Iterator[tuple[str, str]]:
+        sensor = self.sensor
+        if not 0.9 < lattice.pitch_px / sensor.lenslet_pitch_px < 1.1:
+            ratio = f"sensor.lenslet_pitch_m / pixel_pitch_m = {sensor.lenslet_pitch_px:.4g}"
+            yield "lattice.pitch_px", f"= {lattice.pitch_px:g} is far from {ratio}"
+        if lattice.arrangement != sensor.arrangement:
+            yield "lattice.arrangement", f'= "{sensor.arrangement}" is missing'
+        for name in ("lenslet_rows", "lenslet_columns"):
+            if getattr(sensor, name) is None:
+                yield f"sensor.{name}", "is missing: [lattice] gives the middle of all rows and columns"
 
     def with_excluded(self, lenslets: Iterable[tuple[int, int]], is_excluded: bool | None) -> Self:
         """Exclude lenslets (row, column), or use them again; None: each the other way than before."""

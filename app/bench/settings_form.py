@@ -117,6 +117,8 @@ class SettingsForm:
         self._tree: dict[str, Any] = tomllib.loads(tomli_w.dumps(tree))
         self._shown = copy.deepcopy(self._tree)  # as the fields were made: their texts may have fewer digits
         self._is_new = is_new
+        for key in ("lenslet_rows", "lenslet_columns") if is_new else ():
+            self._tree["sensor"].pop(key, None)  # a reference shows them
         self._typed: set[str] = set()  # paths
 
     @classmethod

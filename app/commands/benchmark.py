@@ -221,7 +221,7 @@ def print_figures(figures: LiveFigures) -> None:
     camera, sensor = figures.plan.bench.camera_model, figures.plan.bench.sensor
     terminal.print_sentence(f"{machine['processor'] or machine['system']}, {machine['cores']} cores")
     terminal.print_sentence(
-        f"{camera.rows} x {camera.columns} pixels, {sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets,"
+        f"{camera.rows} x {camera.columns} pixels, {' x '.join(map(str, sensor.lenslets))} lenslets,"
         f" {1 / camera.exposure_s:.1f} frames/s, {'recorded' if recording else 'not recorded'},"
         f" {span.seconds:.0f} s after a warm-up"
     )

@@ -123,7 +123,7 @@ def calibrate_bench(
     try:
         most = full_scale_of(image, bench.camera_model.bits)
         found = survey(image, bench.sensor, dark=dark_image, full_scale=most, progress=progress)
-        calibrated = dataclasses.replace(bench, lattice=_rounded(found.lattice))
+        calibrated = dataclasses.replace(bench, sensor=found.sensor, lattice=_rounded(found.lattice))
         light = np.subtract(image, 0 if dark_image is None else dark_image, dtype=np.float32)
         try:
             scale = mask_scale(calibrated, light)
@@ -167,9 +167,10 @@ def linearity_summary(measured: MeasuredLinearity) -> list[str]:
 
 def _rounded(lattice: Lattice) -> Lattice:
     """Drop insignificant digits."""
-    values = dataclasses.asdict(lattice)
-    numbers = {name: value for name, value in values.items() if name != "arrangement"}
-    rounded = {name: round(value, 9 if name.endswith("_rad") else 6) + 0.0 for name, value in numbers.items()}
+    numbers = {name: value for name, value in dataclasses.asdict(lattice).items() if isinstance(value, float)}
+    rounded: dict[str, Any] = {
+        name: round(value, 9 if name.endswith("_rad") else 6) + 0.0 for name, value in numbers.items()
+    }
     return dataclasses.replace(lattice, **rounded)
 
 
@@ -182,10 +183,10 @@ def summary(calibrated: CalibratedBench) -> list[str]:
     if size is not None:
         scale = f"{size.scale:.5f} +- {size.sigma:.5f} of what the bench's lengths say, by the mask {size.mask}"
     return [
-        f"pitch        {lattice.pitch_px:.4f} px",
+        f"pitch        {lattice.pitch_text(4)}",
         f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
         f"centre       x {lattice.center_x_px:.3f} px, y {lattice.center_y_px:.3f} px",
-        f"lenslets     {seen.rows} x {seen.columns} bright and whole on the frame; {rows} x {columns} are used",
+        f"lenslets     {seen.rows} x {seen.columns} bright on the frame; {rows} x {columns} are used",
         f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
         f"quality      subimages {seen.residual_px:.3f} px RMS off the lattice, {100 * seen.likeness:.0f} % similar",
         f"scale        {scale}",
@@ -199,9 +200,11 @@ def differences(calibrated: CalibratedBench) -> list[str]:
     off = seen.lattice.pitch_px / sensor.lenslet_pitch_px - 1
     if abs(off) > _NOTEWORTHY:
         sentences.append(f"the pitch is {100 * off:+.1f} % off the design, {sensor.lenslet_pitch_px:.4f} px")
-    if (seen.rows, seen.columns) != (sensor.lenslet_rows, sensor.lenslet_columns):
+    if stretch := seen.lattice.stretch:
+        sentences.append(f"the pitch differs by {200 * math.hypot(*stretch):.1f} % with direction, and is used so")
+    if sensor.lenslet_rows and sensor.lenslet_columns and (seen.rows, seen.columns) != sensor.lenslets:
         sentences.append(
-            f"the frame shows {seen.rows} x {seen.columns} whole lenslets, the bench has"
+            f"the frame shows {seen.rows} x {seen.columns} lenslets with light, the bench has"
             f" lenslet_rows = {sensor.lenslet_rows}, lenslet_columns = {sensor.lenslet_columns}"
         )
     if before is not None:
@@ -242,7 +245,7 @@ def write_found(bench: Bench, name: str, source: str, path: Path) -> None:
 
 
 def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:
-    """Insert the lattice or the linearity of `bench` into its TOML text, keeping the comments.
+    """Insert the lattice and omitted counts, or the linearity, of `bench` into its TOML text, keeping the comments.
 
     If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
     """
@@ -251,12 +254,16 @@ def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:
     from app.bench.config import parse_bench, write_bench
 
     found = getattr(bench, name)
-    values = {} if found is None else dataclasses.asdict(found)
+    values = {} if found is None else {key: each for key, each in dataclasses.asdict(found).items() if each is not None}
     section = f"[{name}] # found by svwfs calibrate\n{tomli_w.dumps(values)}\n"
     before = re.compile(rf"^\[{name}\][^\n]*\n(?:(?!\[)[^\n]*\n)*", re.MULTILINE)
     edited, count = before.subn(lambda _: section, text, count=1)
     if not count:
         edited = f"{text.rstrip()}\n\n{section}"
+    rows, columns = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
+    counts = (f"{key} = {count}\n" for key, count in (("lenslet_rows", rows), ("lenslet_columns", columns)) if count)
+    missing = "".join(each for each in counts if not re.search(rf"^\s*{each.split()[0]}\b", text, re.MULTILINE))
+    edited = re.sub(r"^\[sensor\][^\n]*\n", lambda header: header[0] + missing, edited, count=1, flags=re.MULTILINE)
     try:
         is_same = parse_bench(edited, "the calibrated bench") == bench
     except InputError:

@@ -210,8 +210,7 @@ def print_views(wavefront: Wavefront) -> None:
         wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells
     )
     displacement = wavefront.displacement
-    valid = f"{displacement.valid.sum()} of {displacement.valid.size} lenslets valid"
-    terminal.print_sentence("; ".join([valid, *displacement.summary]))
+    terminal.print_sentence("; ".join(displacement.summary))
     terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")
     rotation = rotation_of(wavefront)
     if rotation is not None:

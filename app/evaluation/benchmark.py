@@ -53,7 +53,7 @@ def run_benchmark(
 
 def _timed(frames: TimedFrames, budget_s: float) -> Json:
     """Times, s, of a lattice; `solve_s` is the time of all views and coefficients from the displacements."""
-    lenslets = frames.bench.sensor.lenslet_rows
+    lenslets = frames.bench.sensor.lenslets[0]
     start_s = time.perf_counter()
     reconstructor = frames.reconstructor(RegistrationSettings(warp="quadratic"))
     before = reconstructor.register(frames.before)
@@ -159,9 +159,9 @@ def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFra
     """
     sensor, pitch_px = frames.bench.sensor, round(frames.lattice.pitch_px)
     rows, columns = frames.reference.shape
-    if (rows, columns) != (sensor.lenslet_rows * pitch_px, sensor.lenslet_columns * pitch_px):
+    if (rows, columns) != tuple(count * pitch_px for count in sensor.lenslets):
         raise ValueError(f"{rows} x {columns} pixels are not filled by lenslets of {pitch_px} pixels")
-    copies = -(-lenslets // sensor.lenslet_rows), -(-lenslets // sensor.lenslet_columns)
+    copies = tuple(-(-lenslets // count) for count in sensor.lenslets)
     length = lenslets * pitch_px
 
     def repeated(image: NDArray[Any], margin: float) -> NDArray[Any]:

@@ -31,7 +31,7 @@ from reconstruction.reconstructor import NO_OWN, OwnMethods, Reconstructor
 class Calibration:
     """A bench with its dark, reference and lattice."""
 
-    bench: Bench
+    bench: Bench  # with the numbers of lenslets
     dark: Average | None
     reference: Average
     lattice: Lattice  # configured, or found in the reference
@@ -42,7 +42,7 @@ class Calibration:
     @classmethod
     def of(cls, bench: Bench, reference: Average, *, dark: Average | None, full_scale: float) -> Calibration:
         """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
-        lattice = bench.lattice or surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale).lattice
+        bench, lattice = _located(bench, reference, dark, full_scale)
         bench = _with_pupil(bench, reference, dark, lattice)
         return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale)
 
@@ -58,7 +58,8 @@ class Calibration:
     ) -> Calibration:
         """Take a reference and a dark, (row, column), whose noise is unknown, and a `lattice` if it is known."""
         lit, unlit = Average.of_image(reference), None if dark is None else Average.of_image(dark)
-        lattice = lattice or bench.lattice or surveyed(bench.sensor, lit, dark=unlit, full_scale=full_scale).lattice
+        if lattice is None:
+            bench, lattice = _located(bench, lit, unlit, full_scale)
         bench, known = _with_pupil(bench, lit, unlit, lattice), KnownNoise()
         return cls(bench=bench, dark=unlit, reference=lit, lattice=lattice, full_scale=full_scale, known=known)
 
@@ -128,6 +129,14 @@ def _reconstructor(calibration: Calibration) -> Reconstructor:
         own=calibration.own,
         lenslet_model=partial(lenslet_model, bench),
     )
+
+
+def _located(bench: Bench, reference: Average, dark: Average | None, full_scale: float) -> tuple[Bench, Lattice]:
+    """Return the bench with its numbers of lenslets, and the lattice, which the reference shows if it is omitted."""
+    if bench.lattice is not None:
+        return bench, bench.lattice
+    found = surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale)
+    return replace(bench, sensor=found.sensor), found.lattice
 
 
 def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_scale: float) -> Survey:

@@ -132,7 +132,8 @@ def find_lattice(reference: Counts, bench: Bench, *, dark: Counts | None = None)
     reference
         Frame without the sample, (row, column), counts.
     bench
-        The bench; its `[sensor]` gives the number of lenslets and the designed pitch.
+        The bench; its `[sensor]` gives the designed pitch and the rows and columns, unless they are to be found:
+        `svwfs.reconstructor(bench, reference).bench` has all of them.
     dark
         Frame without light, (row, column), counts.
 

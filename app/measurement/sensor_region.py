@@ -124,8 +124,8 @@ def lenslets_outside(lattice: Lattice, sensor: Sensor, area: SensorArea) -> int:
 
 def _cell_corners_px(lattice: Lattice, sensor: Sensor) -> Floats:
     """Corners of all cells on the camera, (lenslet_row, lenslet_column, corner, xy)."""
-    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns)
-    return lattice.to_camera_px((centers[..., None, :] + lattice.cell_corners) * lattice.pitch_px)
+    centers = lenslet_centers(sensor.arrangement, *sensor.lenslets)
+    return lattice.camera_px(centers[..., None, :] + lattice.cell_corners)
 
 
 def _side_in_steps(start_px: int, length_px: int, whole_px: int, step_px: int) -> tuple[int, int]:

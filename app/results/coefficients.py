@@ -90,7 +90,7 @@ def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficie
 @lru_cache(maxsize=8)
 def _fit(sensor: Sensor, basis: PupilBasis, known_bytes: bytes) -> Floats:
     """Matrix (pupil_mode, lenslet) from wavefront to coefficients; zero for unused lenslets."""
-    known = np.frombuffer(known_bytes, np.bool_).reshape(sensor.lenslet_rows, sensor.lenslet_columns)
+    known = np.frombuffer(known_bytes, np.bool_).reshape(sensor.lenslets)
     return fit_at_lenslets(sensor, basis, known)[1]
 
 

@@ -163,9 +163,9 @@ def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
     figure = Figure(figsize=(13.6, 10.2), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])
     figure.suptitle(
-        f"pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
+        f"pitch {lattice.pitch_text(3)}, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
         f" centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px\n"
-        f"{found.rows} x {found.columns} whole lenslets, {lit.sum()} of the sensor's {lit.size} with light,"
+        f"{found.rows} x {found.columns} lenslets, {lit.sum()} of the sensor's {lit.size} with light,"
         f" {found.residual_px:.3f} px RMS off the lattice"
     )
     _draw_frame(figure.add_subplot(grid[:, 0]), reference, found)
@@ -188,7 +188,7 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
         (own[lit], _LIT, "-", "with light"),
         (own[~lit], _DARK, "-", "dark"),
     ):
-        corners = lattice.to_camera_px((position[:, None] + 0.94 * lattice.cell_corners) * lattice.pitch_px)
+        corners = lattice.camera_px(position[:, None] + 0.94 * lattice.cell_corners)
         face = to_rgba(colour, 0.22) if colour == _DARK else "none"
         cells = PolyCollection(list(corners), facecolors=face, edgecolors=colour, linestyles=style, linewidths=width)
         cells.set_label(f"{len(position)} {name}")
@@ -202,7 +202,7 @@ def _draw_frame(axes: Axes, reference: NDArray[Any], found: Survey) -> None:
 
 
 def _draw_typical(axes: Axes, found: Survey) -> None:
-    (left_px, top_px), _, (right_px, bottom_px), _ = found.lattice.cell_corners * found.lattice.pitch_px
+    (left_px, top_px), _, (right_px, bottom_px), _ = found.lattice.cell_corners @ found.lattice.pitch_matrix_px
     axes.imshow(found.typical, cmap="gray", extent=(left_px, right_px, bottom_px, top_px))
     axes.axhline(0, color=_CENTER, linewidth=0.8)
     axes.axvline(0, color=_CENTER, linewidth=0.8)
@@ -237,8 +237,8 @@ def _draw_displacement(axes: Axes, found: Survey) -> None:
 def _others(lattice: Lattice, own: tuple[int, ...], shape: tuple[int, ...]) -> tuple[Floats, Floats]:
     """Cells outside the `own` rows and columns, in pitches: whole ones, and those that the frame cuts."""
     first = lenslet_centers(lattice.arrangement, own[0], own[1])[0, 0]
-    center_x_px, center_y_px = lattice.to_camera_px(first * lattice.pitch_px)
+    center_x_px, center_y_px = lattice.camera_px(first)
     on_the_first = replace(lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px))
     whole, cut = (cell_index(on_the_first, (shape[0], shape[1]), only_partial=some) for some in (False, True))
-    is_own = np.all((whole >= 0) & (whole < own[::-1]), axis=1)
-    return first + lattice.cell_positions(whole[~is_own]), first + lattice.cell_positions(cut)
+    beside, beside_cut = (each[~np.all((each >= 0) & (each < own[::-1]), axis=1)] for each in (whole, cut))
+    return first + lattice.cell_positions(beside), first + lattice.cell_positions(beside_cut)

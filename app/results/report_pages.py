@@ -127,7 +127,6 @@ _COLOURS = {
     LensletStatus.SATURATED: "#e69f00",
     LensletStatus.DIVERGED: "#cc3311",
     LensletStatus.LEFT_CELL: "#0077bb",
-    LensletStatus.OFF_CAMERA: "#aa4499",
     LensletStatus.EXCLUDED: "#44aa99",
 }
 _VALID = np.array([0.91, 0.94, 0.91])  # red, green, blue
@@ -173,7 +172,7 @@ def _draw_trend(axis: Axes, summary: Summary, stats: Statistics) -> None:
 
 def _draw_lost(axis: Axes, stats: Statistics) -> None:
     """Draw the lenslets without a slope and the reason; the more frames, the stronger the colour."""
-    colours = np.broadcast_to(_VALID, (*stats.lost.shape, 3)).copy()
+    colours = np.where(np.isnan(stats.lost)[..., None], 1.0, _VALID)  # absent ones are white
     handles = []
     for outcome, colour in _COLOURS.items():
         where = stats.reason == outcome
@@ -188,7 +187,11 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
     axis.grid(which="minor", color="white", linewidth=0.6)
     axis.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
     ever, always = int((stats.lost > 0).sum()), int((stats.lost == 1).sum())
-    text = f"{ever} of {stats.lost.size} lenslets lost, {always} of them always" if ever else "no lenslet was lost"
+    text = (
+        f"{ever} of {np.isfinite(stats.lost).sum()} lenslets lost, {always} of them always"
+        if ever
+        else "no lenslet was lost"
+    )
     axis.set_title(text)
     if handles:
         below = (0.5, -0.02)

@@ -37,7 +37,7 @@ class Statistics:
     frames: NDArray[np.int64]  # their indices in the recording, (frame,)
     mean: Floats  # wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN where unknown
     sigma: Floats  # of one frame, rad, root mean square over views and frames, (lenslet_row, lenslet_column)
-    lost: Floats  # share of the frames without a slope, (lenslet_row, lenslet_column)
+    lost: Floats  # share of the frames without a slope, (lenslet_row, lenslet_column); NaN where absent
     reason: NDArray[np.int8]  # most frequent `LensletStatus` of those, else CONVERGED, (lenslet_row, lenslet_column)
     rms_rad: Floats  # mean over the views, (frame,)
     rms_sigma_rad: Floats  # RMS of the wavefront's standard deviation, an upper bound for that of `rms_rad`, (frame,)
@@ -131,13 +131,14 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
         quality.take(frame.quality)
     if middle is None:
         return None
-    outcomes[LensletStatus.CONVERGED] = 0
+    absent = outcomes[LensletStatus.ABSENT] > 0
+    outcomes[[LensletStatus.CONVERGED, LensletStatus.ABSENT]] = 0
     with np.errstate(invalid="ignore"):  # unknown in all frames
         return Statistics(
             frames=np.array(indices),
             mean=total / known,
             sigma=np.sqrt(variances / known_variances),
-            lost=outcomes.sum(axis=0) / len(indices),
+            lost=np.where(absent, np.nan, outcomes.sum(axis=0) / len(indices)),
             reason=np.argmax(outcomes, axis=0).astype(np.int8),
             rms_rad=np.array(rms_rad),
             rms_sigma_rad=np.array(rms_sigma_rad),
@@ -248,8 +249,8 @@ def _of_calibration(summary: Summary) -> Iterator[Fact]:
     sensor, lattice = calibration.bench.sensor, calibration.lattice
     lies = f"centre ({lattice.center_x_px:.2f}, {lattice.center_y_px:.2f}) px"
     lies += f", turned by {lattice.rotation_rad * 1e3:+.2f} mrad"
-    lenslets = f"{sensor.lenslet_columns} x {sensor.lenslet_rows} lenslets"
-    yield "lattice", f"{lenslets}, pitch {lattice.pitch_px:.4f} px, {lies}"
+    lenslets = "{1} x {0} lenslets".format(*sensor.lenslets)
+    yield "lattice", f"{lenslets}, pitch {lattice.pitch_text(4)}, {lies}"
 
 
 def _average(average: Average) -> str:

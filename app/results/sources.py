@@ -284,7 +284,7 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     parameters = _shown(results, gradients)
     sensitivity = MeanGradients(sensor, parameters)
     of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
-    shape = sensor.lenslet_rows, sensor.lenslet_columns
+    shape = sensor.lenslets
     variance = diagonal_covariance(results["displacement_sigma"].values ** 2)
     unknown = np.full(shape, np.nan)
     displacement = Displacement(

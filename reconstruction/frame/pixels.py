@@ -16,6 +16,7 @@ from reconstruction.runtime.compilation import compiled, inlined
 _SATURATED_FRACTION = 0.01  # of the image's pixels; with more, it is rejected
 TOO_BRIGHT = "shorten the exposure or lower the light's current"
 CLIPPED = 0.01  # share of the pixels, piled up at one highest count, from which on an image is clipped
+ON_FRAME = 0.95  # least share of an image's squared gradients on the frame that cuts its cell; with less, it is absent
 BACKGROUND_PERCENT = 1.0  # without a dark, this percentile of the counts is the background
 PEAK_PERCENT = 99.9  # this one is the peak, so that hot pixels do not count
 

@@ -10,12 +10,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft, linalg, ndimage
 
-from reconstruction.arrays import SIGMA_OF_MEDIAN, Floats, Image
+from reconstruction.arrays import SIGMA_OF_MEDIAN, Booleans, Floats, Image
 from reconstruction.frame.spline import spline_coefficients
 from reconstruction.geometry import Arrangement, Lattice
-from reconstruction.lattice.cells import CellMatch, Cells, cut, match_cells, rough_background, without_background
+from reconstruction.lattice.cells import (
+    CellMatch,
+    Cells,
+    cut,
+    match_cells,
+    match_partial_cells,
+    rough_background,
+    without_background,
+)
 from reconstruction.runtime.opencv import cv2
 
 REACH = 0.16  # relative error of the designed pitch that is searched
@@ -119,6 +127,8 @@ _ALIKE = 0.5  # correlation of the mean cells of two halves of the frame; noise 
 _REPEATED = 0.98  # share of the power of the typical cell in every second (third, fifth) harmonic if it repeats itself
 _SCATTER = 0.1  # RMS distance of the cells' light from the lattice, in pitches
 _FEWEST_LIT = 3  # lit lenslets
+_UNEVEN, _CERTAIN = 0.02, 5.0  # RMS distance from the lattice, in pitches and standard errors, that one pitch leaves
+_SMOOTH = 0.2  # correlation of neighbouring pixels below which light is only noise
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,10 +136,13 @@ class Fit:
     """A lattice centred on a lenslet, and its cells."""
 
     lattice: Lattice
-    cells: Cells
+    cells: Cells  # whole ones
     match: CellMatch
     agreement: Floats  # of the phases of the cells' harmonics, 1 if equal, (xy,)
     off_lattice: Floats  # distance of each cell's light from the lattice, in pitches, (N, xy)
+    partial: Cells  # those that the frame's edge cuts
+    partial_is_lit: Booleans  # (n,)
+    partial_off_lattice: Floats  # (n, xy)
 
 
 def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
@@ -137,8 +150,8 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
 
     A lenslet's centre is where the first harmonic of the light of all cells has phase 0 along x and y: the middle of a
     symmetric image. The phase is 180 degrees instead if that puts less light on the edges of the cells, as with a ring.
-    At least `brightest` lenslets should be lit. None if there are no 2 x 2 cells, fewer than two are lit, or the fit
-    leaves the start's pitch.
+    At least `brightest` lenslets should be lit. The pitch depends on the direction if that moves lenslets noticeably.
+    None if there are no 2 x 2 cells, fewer than two are lit, or the fit leaves the start's pitch.
     """
     coefficients = spline_coefficients(light - rough_background(light, round(start.pitch_px)))
     lattice, sign = start, np.ones(2)
@@ -148,15 +161,16 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
             return None
         harmonics = sign * _evened(cells.harmonics(), brightest)
         # Cells must hold complete images before neighbours can be compared.
-        growth = _growth(cells, harmonics) if rough_round else (0.0, 0.0)
-        lattice = _moved(lattice, cells.offset(np.angle(harmonics.sum(axis=0)) * _CYCLES), *growth)
+        growth = _growth(cells, harmonics) if rough_round else None
+        lattice = _moved(lattice, cells.offset(np.angle(harmonics.sum(axis=0)) * _CYCLES), growth)
         for axis in (1, 0) if not rough_round else ():  # half a row is also beside the columns of a hexagonal lattice
             sign[axis] = _sign(cut(coefficients, lattice))[axis]
             lattice = _moved(lattice, cells.offset(np.where(sign < 0, 0.5, 0.0) * (np.arange(2) == axis)))
         if not 1 - 2 * REACH < lattice.pitch_px / start.pitch_px < 1 + 2 * REACH:
             return None
     coefficients = spline_coefficients(light)
-    for _ in range(_FINE_ROUNDS):
+    is_even = True  # the pitch is the same in all directions
+    for fine_round in range(2 * _FINE_ROUNDS):
         cells = cut(coefficients, lattice)
         if not _fills_both_axes(cells):
             return None
@@ -168,11 +182,18 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
         weight = match.is_lit * np.clip(match.brightness, 0, 1) ** 2
         if np.count_nonzero(weight) < _FEWEST:
             return None
-        move, stretch, turn, off_lattice = _similarity(cells.position, match.displacement, weight)
-        lattice = _moved(lattice, move + offset, stretch, turn)
+        move, linear, off_lattice = _affinity(cells.position, match.displacement, weight, is_even=is_even)
+        lattice = _moved(lattice, move + offset, linear, is_even=is_even)
+        if fine_round == _FINE_ROUNDS - 1:
+            if not _is_uneven(cells.position, off_lattice, weight):
+                break
+            is_even = False
     harmonics = _evened(cells.harmonics(), brightest)
     agreement = np.abs(harmonics.sum(axis=0)) / np.maximum(np.abs(harmonics).sum(axis=0), _NOTHING)
-    return Fit(lattice, cells, match, agreement, off_lattice)
+    partial = cut(coefficients, cells.lattice, only_partial=True)
+    is_lit, displacement = match_partial_cells(partial, light.shape, match, brightest=brightest)
+    partial_off_lattice = displacement - move - partial.position @ linear
+    return Fit(lattice, cells, match, agreement, off_lattice, partial, is_lit, partial_off_lattice)
 
 
 def _fills_both_axes(cells: Cells) -> bool:
@@ -186,8 +207,8 @@ def _evened(harmonics: NDArray[np.complex128], brightest: int) -> NDArray[np.com
     return np.asarray(harmonics * np.minimum(1, most / np.maximum(size, _NOTHING)))
 
 
-def _growth(cells: Cells, harmonics: NDArray[np.complex128]) -> tuple[float, float]:
-    """Relative stretch and turn of the lattice, by the phases of the harmonics (N, xy) of neighbours."""
+def _growth(cells: Cells, harmonics: NDArray[np.complex128]) -> Floats:
+    """Stretch and turn of the lattice as a linear map (2, 2), by the phases of the harmonics (N, xy) of neighbours."""
     first = cells.index.min(axis=0)
     columns, rows = cells.index.max(axis=0) - first + 1
     grid = np.zeros((rows, columns, 2), np.complex128)
@@ -199,7 +220,8 @@ def _growth(cells: Cells, harmonics: NDArray[np.complex128]) -> tuple[float, flo
         for one, other in ((grid[:, 1:], grid[:, :-1]), (grid[apart:], grid[:-apart]))
     )
     along_rows /= apart * cells.lattice.row_spacing
-    return float(along_columns[0] + along_rows[1]) / 2, float(along_columns[1] - along_rows[0]) / 2
+    stretch, turn = along_columns[0] + along_rows[1], along_columns[1] - along_rows[0]
+    return np.array([[stretch, turn], [-turn, stretch]]) / 2
 
 
 def _sign(cells: Cells) -> Floats:
@@ -211,34 +233,53 @@ def _sign(cells: Cells) -> Floats:
     return np.array([-1.0 if line[edge].mean() > line[middle].mean() else 1.0 for line in along])
 
 
-def _similarity(position: Floats, displacement: Floats, weight: Floats) -> tuple[Floats, float, float, Floats]:
-    """Robust fit of move, stretch and turn to displacements (N, xy), in pitches; and residuals."""
+def _affinity(
+    position: Floats, displacement: Floats, weight: Floats, *, is_even: bool
+) -> tuple[Floats, Floats, Floats]:
+    """Robust fit of a move and a linear map (2, 2) of row vectors to displacements (N, xy), in pitches; and residuals.
+
+    An even map stretches all directions alike, and turns.
+    """
     counts = weight
     for _ in range(_REWEIGHTINGS):
         counts = counts / counts.sum()
         middle, mean = counts @ position, counts @ displacement
-        (x, y), (dx, dy) = (position - middle).T, (displacement - mean).T
-        spread = max(float(counts @ (x**2 + y**2)), _NOTHING)
-        stretch, turn = float(counts @ (x * dx + y * dy)) / spread, float(counts @ (x * dy - y * dx)) / spread
-        rest = displacement - mean - np.stack([stretch * x - turn * y, stretch * y + turn * x], axis=-1)
+        away, moved = position - middle, displacement - mean
+        products, squares = away.T @ (counts[:, None] * moved), away.T @ (counts[:, None] * away)
+        if is_even:
+            stretch, turn = np.trace(products), products[0, 1] - products[1, 0]
+            products, squares = np.array([[stretch, turn], [-turn, stretch]]), np.trace(squares) * np.eye(2)
+        linear = np.linalg.pinv(squares, hermitian=True) @ products
+        rest = moved - away @ linear
         scatter = max(SIGMA_OF_MEDIAN * float(np.median(np.abs(rest[weight > 0]))), _FINEST)
         outlying = np.minimum(np.hypot(*rest.T) / (_OUTLYING * scatter), 1)
         counts = weight * (1 - outlying**2) ** 2
         if not counts.any():
             counts = weight
-    move = mean - [stretch * middle[0] - turn * middle[1], stretch * middle[1] + turn * middle[0]]
-    return move, stretch, turn, rest
+    return mean - middle @ linear, linear, rest
 
 
-def _moved(lattice: Lattice, move: Floats, stretch: float = 0.0, turn: float = 0.0) -> Lattice:
-    """Move the lattice by `move` (xy), in pitches along its axes, then stretch and turn it."""
-    x_px, y_px = lattice.to_camera_px(move * lattice.pitch_px)
+def _is_uneven(position: Floats, off_lattice: Floats, weight: Floats) -> bool:
+    """True if the cells' light (N, xy) lies noticeably closer to a lattice whose pitch depends on the direction."""
+    _, _, left = _affinity(position, off_lattice, weight, is_even=False)
+    before, after = (float(np.mean(np.sum(each[weight > 0] ** 2, axis=1))) for each in (off_lattice, left))
+    return before - after > max(_UNEVEN**2, _CERTAIN**2 * after / np.count_nonzero(weight))
+
+
+def _moved(lattice: Lattice, move: Floats, linear: Floats | None = None, *, is_even: bool = True) -> Lattice:
+    """Move the lattice by `move` (xy), in pitches along its axes, then map it by 1 + `linear` (2, 2), row vectors."""
+    x_px, y_px = lattice.camera_px(move)
+    lattice = replace(lattice, center_x_px=float(x_px), center_y_px=float(y_px))
+    if linear is None:
+        return lattice
+    turn, pitches_px = linalg.polar((np.eye(2) + linear) @ lattice.pitch_matrix_px @ lattice.turn, side="left")
+    pitch_px, rotation_rad = float(np.trace(pitches_px)) / 2, math.atan2(turn[0, 1], turn[0, 0])
+    stretch = float(pitches_px[0, 0] / pitch_px - 1), float(pitches_px[0, 1] / pitch_px)
     return replace(
         lattice,
-        center_x_px=float(x_px),
-        center_y_px=float(y_px),
-        pitch_px=max(lattice.pitch_px * (1 + stretch), SMALLEST_PITCH_PX),
-        rotation_rad=least_rotation_rad(lattice.arrangement, lattice.rotation_rad + turn),
+        pitch_px=max(pitch_px, SMALLEST_PITCH_PX),
+        rotation_rad=least_rotation_rad(lattice.arrangement, rotation_rad) if is_even else rotation_rad,
+        stretch=None if is_even else stretch,
     )
 
 
@@ -250,13 +291,19 @@ def why_no_lattice(fit: Fit | None, peak: Peak, light: Image, brightest: int) ->
     is_lit = np.zeros(1, np.bool_) if fit is None else fit.match.is_lit
     lit = int(np.count_nonzero(is_lit))
     if fit is None or fit.agreement.min() < _AGREEMENT or _halves_alike(fit.cells) < _ALIKE:
-        return _why_irregular(peak, lit)
+        return _why_irregular(peak, lit, light)
     if not fit.match.typical.std() > _CONTRAST * float(np.ptp(np.percentile(light, _RANGE_PERCENT))):
-        return "was the light on?"
-    if lit < max(brightest, _FEWEST_LIT) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
-        return f"light in {lit} of its lenslets is too little"
+        return why_not_seen(light, peak.pitch_px)
+    if lit < (least := max(brightest, _FEWEST_LIT)) or np.any(np.ptp(fit.cells.index[is_lit], axis=0) < 1):
+        side_by_side = f"{least} in several rows and columns"
+        return (
+            f"only {lit} of its lenslets have light, not {side_by_side}: omit sensor.lenslet_rows and lenslet_columns"
+        )
     if (scatter := float(np.sqrt(np.mean(np.sum(fit.off_lattice[is_lit] ** 2, axis=-1))))) > _SCATTER:
-        return f"spots deviate from a {fit.lattice.arrangement} lattice by {100 * scatter:.0f} % of the pitch"
+        return (
+            f"spots deviate from a {fit.lattice.arrangement} lattice by {100 * scatter:.0f} % of the pitch, more than"
+            f" {100 * _SCATTER:.0f} %: set [lattice] in the bench, from a frame of an undistorted wavefront"
+        )
     if _repeats_inside(fit.match.typical):
         return "its cells show the same image more than once; check sensor.lenslet_pitch_m and pixel_pitch_m"
     return ""
@@ -272,13 +319,26 @@ def is_outstanding(peak: Peak) -> bool:
     return max(peak.strength) >= _OUTSTANDING
 
 
-def _why_irregular(peak: Peak, lit: int) -> str:
-    """Reason why the cells of a frame, `lit` of which seem lit, differ."""
-    if not is_outstanding(peak):
+def why_not_seen(light: Image, pitch_px: float) -> str:
+    """Reason why the light of a frame (row, column) does not repeat: it is noise, or something else."""
+    side = max(round(pitch_px), 2)
+    rows, columns = (length // side for length in light.shape)
+    squares = light[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    squares = squares - squares.mean(axis=(1, 3), keepdims=True)
+    neighbours = np.mean(squares[..., 1:] * squares[..., :-1], axis=(1, 3))
+    square = np.maximum(np.mean(squares**2, axis=(1, 3)), np.finfo(np.float32).tiny)
+    if float(np.median(neighbours / square)) < _SMOOTH:
         return "was the light on?"
+    return "its light does not repeat: is the lenslet array in the beam, and the camera in its focus?"
+
+
+def _why_irregular(peak: Peak, lit: int, light: Image) -> str:
+    """Reason why the cells of a frame (row, column), `lit` of which seem lit, differ."""
+    if not is_outstanding(peak):
+        return why_not_seen(light, peak.pitch_px)
     if max(peak.strength) > _ONE_SIDED * min(peak.strength):
         return "its light repeats in one direction only"
-    return "was the light on?" if lit < _FEWEST_LIT else "its cells do not show the same image"
+    return why_not_seen(light, peak.pitch_px) if lit < _FEWEST_LIT else "its cells do not show the same image"
 
 
 def _halves_alike(cells: Cells) -> float:

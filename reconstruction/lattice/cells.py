@@ -8,6 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from reconstruction.arrays import Booleans, Floats, Image
+from reconstruction.frame.pixels import ON_FRAME
 from reconstruction.frame.spline import interpolate_evenly
 from reconstruction.geometry import Lattice, centered_steps
 
@@ -22,7 +23,7 @@ _DAMPING = 1e-3  # prefers the images' own light to a background where both fit
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """The N cells of a lattice that lie entirely on a frame, whole columns and rows from the centre each."""
+    """N cells of a lattice on a frame, whole columns and rows from the centre each."""
 
     index: NDArray[np.intp]  # column and row, (N, xy)
     light: Image  # S x S samples over each cell, (N, S, S)
@@ -59,30 +60,30 @@ def cell_index(lattice: Lattice, shape: tuple[int, int], *, only_partial: bool =
     """
     last = np.array(shape[::-1]) - 1
     outline_px = np.array([[0, 0], [last[0], 0], [0, last[1]], last], np.float64)
-    reach = np.abs(lattice.from_camera_px(outline_px)).max(axis=0) / lattice.pitch_px / [1.0, lattice.row_spacing]
+    reach = np.abs(lattice.in_pitches(outline_px)).max(axis=0) / [1.0, lattice.row_spacing]
     x, y = (np.arange(-math.ceil(most), math.ceil(most) + 1) for most in reach)
     index = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    corner_px = lattice.to_camera_px((lattice.cell_positions(index)[:, None] + lattice.cell_corners) * lattice.pitch_px)
+    corner_px = lattice.camera_px(lattice.cell_positions(index)[:, None] + lattice.cell_corners)
     inside = np.all((corner_px > -0.5 - _BEYOND_PX) & (corner_px < last + 0.5 + _BEYOND_PX), axis=2)
     begin, end = -0.5 + _BEYOND_PX, last + 0.5 - _BEYOND_PX
     touching = np.all((corner_px.max(axis=1) > begin) & (corner_px.min(axis=1) < end), axis=1)
     return np.asarray(index[touching & ~inside.all(axis=1) if only_partial else inside.all(axis=1)])
 
 
-def cut(coefficients: Image, lattice: Lattice) -> Cells:
-    """Cut all complete cells out of a frame given by its spline coefficients (row, column)."""
-    index = cell_index(lattice, coefficients.shape)
+def cut(coefficients: Image, lattice: Lattice, *, only_partial: bool = False) -> Cells:
+    """Cut all complete cells, or the others, out of a frame given by its spline coefficients (row, column)."""
+    index = cell_index(lattice, coefficients.shape, only_partial=only_partial)
     samples = max(_FEWEST_SAMPLES, 2 * math.ceil(lattice.pitch_px / 2))
     if not len(index):
         return Cells(index, np.zeros((0, samples, samples), np.float32), lattice)
     first, last = index.min(axis=0), index.max(axis=0)
     columns, rows = last - first + 1
     beside = 0 if lattice.arrangement == "square" else samples // 2  # samples by which odd rows lie to the right
-    size_px = np.array([1.0, lattice.row_spacing]) * lattice.pitch_px
+    size = np.array([1.0, lattice.row_spacing])
     sampled = interpolate_evenly(
         coefficients,
-        lattice.to_camera_px((first - 0.5 + 0.5 / samples) * size_px),
-        size_px[:, None] / samples * lattice.turn,
+        lattice.camera_px((first - 0.5 + 0.5 / samples) * size),
+        np.diag(size / samples) @ lattice.pitch_matrix_px @ lattice.turn,
         (rows * samples, columns * samples + beside),
     )
     column, row = (index - first).T
@@ -118,12 +119,47 @@ def match_cells(cells: Cells, *, brightest: int) -> CellMatch:
         typical = typical - typical.mean()
     brightness, is_lit, likeness = _matched(flat, typical, brightest)
     shape = light.shape[1:]
-    slopes = np.gradient(typical.reshape(shape), 1 / shape[0])
-    model = np.stack([typical, *(slope.ravel() for slope in slopes), np.ones_like(typical)], axis=-1)
-    scale, along_y, along_x, _ = np.linalg.pinv(model) @ flat.T
-    scale = np.where(np.abs(scale) > np.finfo(np.float32).tiny, scale, np.inf)
-    displacement = -np.stack([along_x, along_y * cells.lattice.row_spacing], axis=-1) / scale[:, None]
+    scaled = np.linalg.pinv(_moving(typical.reshape(shape))) @ flat.T
+    displacement = _displacement(scaled, cells.lattice)
     return CellMatch(np.asarray(typical.reshape(shape), np.float64), brightness, is_lit, likeness, displacement)
+
+
+def match_partial_cells(
+    cells: Cells, frame: tuple[int, ...], whole: CellMatch, *, brightest: int
+) -> tuple[Booleans, Floats]:
+    """Compare cells that a frame of that shape cuts with the typical one of the `whole` cells.
+
+    Returns which are lit, (N,), and their displacement in pitches, (N, xy). Only samples on the frame count; a cell
+    whose image may lie beyond it is not lit.
+    """
+    steps, lattice = np.stack(np.meshgrid(cells.steps, cells.steps * cells.lattice.row_spacing), axis=-1), cells.lattice
+    at_px = lattice.camera_px(cells.position[:, None] + steps.reshape(-1, 2))
+    on_frame = np.all((at_px > -0.5) & (at_px < np.array(frame[::-1]) - 0.5), axis=-1)  # (N, S S)
+    model = _moving(whole.typical)
+    steepness = np.sum(model[:, 1:3] ** 2, axis=1)
+    flat = cells.light.reshape(len(cells.light), -1)
+    found = np.zeros((4, len(flat)))
+    unlike = np.full(len(flat), np.inf)
+    for n in np.flatnonzero(on_frame @ steepness > ON_FRAME * steepness.sum()):
+        some = on_frame[n]
+        found[:, n] = np.linalg.lstsq(model[some], flat[n, some], rcond=None)[0]
+        unlike[n] = np.std(flat[n, some] - model[some] @ found[:, n])
+    enough = _LIT * np.sort(whole.brightness)[-min(brightest, len(whole.brightness))]
+    is_lit = (found[0] > enough) & (found[0] > _SIGNIFICANT * unlike / whole.typical.std() / cells.light.shape[-1])
+    return is_lit, _displacement(found, lattice)
+
+
+def _moving(typical: Floats) -> Floats:
+    """Images (S S, 4) that make a moved cell: the typical one (S, S), its slopes along y and x, and a constant."""
+    slopes = np.gradient(typical, 1 / len(typical))
+    return np.stack([each.ravel() for each in (typical, *slopes, np.ones_like(typical))], axis=-1)
+
+
+def _displacement(shares: Floats, lattice: Lattice) -> Floats:
+    """Displacement in pitches, (N, xy), of cells with those shares (4, N) of the images of `_moving`."""
+    scale, along_y, along_x, _ = shares
+    scale = np.where(np.abs(scale) > np.finfo(np.float32).tiny, scale, np.inf)
+    return -np.stack([along_x, along_y * lattice.row_spacing], axis=-1) / scale[:, None]
 
 
 def _matched(flat: Image, typical: Image, brightest: int) -> tuple[Floats, Booleans, Floats]:

@@ -4,11 +4,11 @@ The light of each cell repeats that of its neighbours. The spectrum gives rough 
 cells' first harmonics, then the comparison of the cells with the typical one, refine them.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from scipy import ndimage
 
 from reconstruction.arrays import Booleans, Counts, Floats, Image
@@ -25,10 +25,12 @@ from reconstruction.lattice._fit import (
     seems_to_be_other,
     strongest_peak,
     why_no_lattice,
+    why_not_seen,
     without_peaks,
 )
 
 _DARK_AT_MOST = 8  # largest ratio of all lenslets to the lit ones
+_FEW = 5  # rows or columns where their number is omitted
 _SAME = 0.5  # correlation of a dark with the reference
 _OCCUPIED = 0.5  # of the usual number of lit lenslets makes a row or column count fully
 _MANY = 2000  # cells, from which on a lattice's spectral peak, 0.5 sqrt(cells), is far above the noise, 3.5
@@ -42,12 +44,12 @@ _ALIKE = {"square": 0.3, "hexagonal": 0.1}
 class Survey:
     """The lattice that a reference shows, and its quality."""
 
+    sensor: Sensor  # with the numbers of rows and columns
     lattice: Lattice  # centred on the sensor's lenslets
-    rows: int  # of lit lenslets that lie entirely on the frame, also beyond the sensor's
+    rows: int  # of lit lenslets, also beyond the sensor's
     columns: int
-    illuminated: Booleans  # the sensor's lit lenslets, (lenslet_row, lenslet_column)
+    illuminated: Booleans  # the sensor's lit lenslets, (lenslet_row, lenslet_column); the others are absent
     displacement_px: Floats  # of their light from the lattice, NaN where not lit, (lenslet_row, lenslet_column, xy)
-    brightness: Floats  # of each lenslet over the typical one's, (lenslet_row, lenslet_column)
     typical: Floats  # light of a lit lenslet over its cell, mean 0, (sample_row, sample_column)
     likeness: float  # median correlation of the lit lenslets' images with the typical one, 1 if all are equal
 
@@ -73,7 +75,8 @@ def survey(
     """Find the sensor's lenslets on a reference, and measure how well it shows them.
 
     The lattice's cells with most lit lenslets are the sensor's; of equal blocks, the one nearest to the frame's middle.
-    The subimages must be symmetric on average; otherwise see `fit_lattice` for the centre. The pitch may differ by 15 %
+    Cells may be dark or lie off the frame. Rows and columns that the sensor omits are as many as are lit. The subimages
+    must be symmetric on average; otherwise see `fit_lattice` for the centre. The pitch may differ by 15 %
     from the sensor's; the rotation is the least, see `least_rotation_rad`.
 
     Parameters
@@ -114,7 +117,7 @@ def _surveyed(
     light, pitch_px = _light(reference, sensor, dark, full_scale), sensor.lenslet_pitch_px
     progress("searching for a lattice", 0.0)
     if not _may_show(light, pitch_px, sensor.arrangement):
-        raise ReconstructionError(_refusal(pitch_px, "was the light on?"), image="reference")
+        raise ReconstructionError(_refusal(pitch_px, why_not_seen(light, pitch_px)), image="reference")
     progress("searching for bad pixels", 0.1)
     light = repaired(light, find_bad_pixels(reference, dark, blur_px=sensor.blur_px))
     progress("fitting the lattice", 0.25)
@@ -147,11 +150,15 @@ def _fitted(light: Image, sensor: Sensor, pitch_px: float) -> tuple[Fit | None, 
     """Fit a lattice of about that pitch to a frame's light (row, column), or return why there is none."""
     if pitch_px < SMALLEST_PITCH_PX or min(light.shape) < 2 * pitch_px:
         return None, "its pitch is too small or too large"
-    brightest = max(1, sensor.lenslet_rows * sensor.lenslet_columns // _DARK_AT_MOST)
+    expected = (sensor.lenslet_rows or _FEW) * (sensor.lenslet_columns or _FEW)
+    brightest = max(1, expected // _DARK_AT_MOST)
     peak = strongest_peak(light, pitch_px, sensor.arrangement)
     middle = nominal_lattice(sensor, *light.shape)
     start = replace(middle, pitch_px=max(peak.pitch_px, SMALLEST_PITCH_PX), rotation_rad=peak.rotation_rad)
     fit = fit_lattice(light, start, brightest)
+    if fit is not None and None in {sensor.lenslet_rows, sensor.lenslet_columns}:
+        brightest = max(brightest, int(np.count_nonzero(fit.match.is_lit)) // _DARK_AT_MOST)
+        fit = fit_lattice(light, fit.lattice, brightest)
     why = why_no_lattice(fit, peak, light, brightest)
     if not why:
         return fit, why
@@ -171,12 +178,10 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
     if reference.ndim != 2 or 0 in reference.shape:
         raise ReconstructionError("the reference is not an image of rows x columns", image="reference")
     rows, columns = reference.shape
-    smallest_px = sensor.lenslet_pitch_px * (1 - REACH)
-    row_px = smallest_px * sensor.row_spacing_m / sensor.lenslet_pitch_m
-    if rows < sensor.lenslet_rows * row_px - 2 or columns < sensor.lenslet_columns * smallest_px - 2:
+    if min(rows, columns) < 2 * sensor.lenslet_pitch_px * (1 - REACH):
         raise ReconstructionError(
-            f"{sensor.lenslet_rows} x {sensor.lenslet_columns} lenslets of {sensor.lenslet_pitch_px:.1f} px do not fit"
-            f" on {rows} x {columns} pixels",
+            f"not even 2 x 2 lenslets of {sensor.lenslet_pitch_px:.1f} px fit on {rows} x {columns} pixels: check"
+            " sensor.lenslet_pitch_m and pixel_pitch_m",
             image="reference",
         )
     if dark is not None and np.shape(dark) != reference.shape:
@@ -193,34 +198,24 @@ def _light(reference: Counts, sensor: Sensor, dark: Counts | None, full_scale: f
 
 def _of_the_sensor(fit: Fit, sensor: Sensor, shape: tuple[int, int]) -> Survey:
     """Choose the sensor's lenslets among the cells of the fit."""
-    grids = [_Grid(fit, cell) for cell in ((0, 0), (0, 1))[: 1 if sensor.arrangement == "square" else 2]]
-    wanted = (sensor.lenslet_rows, sensor.lenslet_columns)
-    blocks = [block for grid in grids if (block := grid.block(wanted, shape)) is not None]
-    most = max((block.light for block in blocks), default=0.0)
-    lit = (block for block in blocks if block.light >= most - _ALIKE[sensor.arrangement])
-    best = min(lit, key=lambda block: block.away_px, default=None)
-    grid = grids[0] if best is None else best.grid
-    extent = _extent(grid.lit)
-    found = [part.stop - part.start for part in extent]
-    if best is None or any(_is_cut(*line) for line in zip(extent, grid.lit.shape, wanted, strict=True)):
-        raise ReconstructionError(
-            f"of the lattice of {fit.lattice.pitch_px:.1f} px only {found[0]} x {found[1]} lenslets lie whole on the"
-            f" frame, not the sensor's {wanted[0]} x {wanted[1]}: move the camera, or change sensor.lenslet_rows and"
-            " lenslet_columns",
-            image="reference",
-        )
-    brightness, beside = np.zeros(grid.lit.shape), np.full((*grid.lit.shape, 2), np.nan)
-    brightness[grid.place], beside[grid.place] = fit.match.brightness, fit.off_lattice * fit.lattice.pitch_px
+    origins = ((0, 0), (0, 1))[: 1 if sensor.arrangement == "square" else 2]
+    blocks = [_Grid(fit, origin, sensor).block(shape) for origin in origins]
+    most = max(block.light for block in blocks) - _ALIKE[sensor.arrangement]
+    best = min((block for block in blocks if block.light >= most), key=lambda block: (block.size, block.away_px))
+    grid, center_px = best.grid, best.center_px.tolist()
+    beside = np.full((*grid.lit.shape, 2), np.nan)
+    off_lattice = np.concatenate([fit.off_lattice, fit.partial_off_lattice])
+    beside[grid.place] = off_lattice @ fit.lattice.pitch_matrix_px
     beside[~grid.lit] = np.nan
-    chosen = best.slices
-    center_x_px, center_y_px = best.center_px
+    rows, columns = _extent(grid.lit)
+    lit = grid.lit[best.slices]
     return Survey(
-        lattice=replace(fit.lattice, center_x_px=float(center_x_px), center_y_px=float(center_y_px)),
-        rows=found[0],
-        columns=found[1],
-        illuminated=grid.lit[chosen],
-        displacement_px=beside[chosen],
-        brightness=brightness[chosen],
+        sensor=replace(sensor, lenslet_rows=lit.shape[0], lenslet_columns=lit.shape[1]),
+        lattice=replace(fit.lattice, center_x_px=center_px[0], center_y_px=center_px[1]),
+        rows=rows.stop - rows.start,
+        columns=columns.stop - columns.start,
+        illuminated=lit,
+        displacement_px=beside[best.slices],
         typical=fit.match.typical,
         likeness=float(np.median(fit.match.likeness[fit.match.is_lit])),
     )
@@ -233,47 +228,59 @@ class _Block:
     grid: "_Grid"
     slices: tuple[slice, slice]  # of the grid
     center_px: Floats  # (xy,)
+    size: int  # number of cells
     light: float  # lit rows and columns
     away_px: float  # from the frame's middle
 
 
 class _Grid:
-    """Cells of a fit in rows and columns, counted from one of them; hexagonal ones from an even row on."""
+    """Cells of a fit in rows and columns, counted from one of them; hexagonal ones from an even row on.
 
-    def __init__(self, fit: Fit, origin: tuple[int, int]) -> None:
-        self._lattice, index = fit.lattice, fit.cells.index - origin
+    Absent cells surround them, so that a block of the sensor's rows and columns may begin anywhere.
+    """
+
+    def __init__(self, fit: Fit, origin: tuple[int, int], sensor: Sensor) -> None:
+        self._lattice, self._sensor = fit.lattice, sensor
         self._origin = fit.lattice.cell_positions(np.array(origin))
+        index = np.concatenate([fit.cells.index, fit.partial.index]) - origin
         if origin[1] % 2:
             index[:, 0] -= index[:, 1] % 2  # rows that lay to the left of the origin's row lie to its right
-        self._first = index.min(axis=0)
-        self._first[1] -= self._first[1] % 2 * (fit.lattice.arrangement == "hexagonal")
-        columns, rows = index.max(axis=0) - self._first + 1
+        self._step = 1 if sensor.arrangement == "square" else 2  # from a row that may be the first to the next
+        around = np.array([sensor.lenslet_columns or 0, sensor.lenslet_rows or 0])
+        self._first = index.min(axis=0) - around
+        self._first[1] -= self._first[1] % self._step
+        columns, rows = index.max(axis=0) + around - self._first + 1
         column, row = (index - self._first).T
         self.place = row, column
-        self._whole, self.lit = np.zeros((2, rows, columns), np.bool_)
-        self._whole[self.place], self.lit[self.place] = True, fit.match.is_lit
+        self.lit = np.zeros((rows, columns), np.bool_)
+        self.lit[self.place] = np.concatenate([fit.match.is_lit, fit.partial_is_lit])
 
-    def block(self, wanted: tuple[int, int], shape: tuple[int, int]) -> _Block | None:
-        """Block of the `wanted` rows and columns with most light, the nearest to the middle of a `shape`."""
-        if wanted[0] > len(self.lit) or wanted[1] > len(self.lit.T):
-            return None
-        fits = np.array(sliding_window_view(self._whole, wanted).all(axis=(2, 3)))
-        arrangement = self._lattice.arrangement
-        if arrangement == "hexagonal":
-            fits[1::2] = False
-        if not fits.any():
-            return None
-        light = np.add.outer(_occupied(self.lit, 1, wanted[0]), _occupied(self.lit, 0, wanted[1]))
-        corner = np.moveaxis(np.indices(fits.shape)[::-1], 0, -1) + self._first  # (row, column, xy)
+    def block(self, shape: tuple[int, int]) -> _Block:
+        """Block of the sensor's rows and columns with most light, the nearest to the middle of a `shape`.
+
+        It holds all lit cells if it is large enough; of omitted counts, as many as they need.
+        """
+        wanted, allowed, occupied = list[int](), list[Booleans](), list[Floats]()
+        steps, given = (self._step, 1), (self._sensor.lenslet_rows, self._sensor.lenslet_columns)
+        for axis, (lit, step, count) in enumerate(zip(_extent(self.lit), steps, given, strict=True)):
+            wanted.append(count or max(lit.stop - lit.start + lit.start % step, 2))
+            start = np.arange(self.lit.shape[axis] - wanted[axis] + 1)
+            fits = start % step == 0
+            holds_all = fits & (start <= lit.start) & (start + wanted[axis] >= lit.stop)
+            allowed.append(holds_all if holds_all.any() else fits)
+            occupied.append(_occupied(self.lit, 1 - axis, wanted[axis]))
+        may_begin, light = np.logical_and.outer(*allowed), np.add.outer(*occupied)
+        corner = np.moveaxis(np.indices(light.shape)[::-1], 0, -1) + self._first  # (row, column, xy)
         first_lenslet = self._origin + self._lattice.cell_positions(corner)
-        middle = first_lenslet - lenslet_centers(arrangement, *wanted)[0, 0]
-        center_px = self._lattice.to_camera_px(middle * self._lattice.pitch_px)
+        middle = first_lenslet - lenslet_centers(self._lattice.arrangement, *wanted)[0, 0]
+        center_px = self._lattice.camera_px(middle)
         away_px = np.hypot(*np.moveaxis(center_px - (np.array(shape[::-1]) - 1) / 2, -1, 0))
-        alike = fits & (light >= light[fits].max() - _ALIKE[arrangement])
-        row, column = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), fits.shape)
-        slices = slice(int(row), int(row) + wanted[0]), slice(int(column), int(column) + wanted[1])
-        best = row, column
-        return _Block(self, slices, center_px[best], float(light[best]), float(away_px[best]))
+        alike = may_begin & (light >= light[may_begin].max() - _ALIKE[self._lattice.arrangement])
+        best = np.unravel_index(np.argmin(np.where(alike, away_px, np.inf)), light.shape)
+        rows, columns = (slice(int(start), int(start) + count) for start, count in zip(best, wanted, strict=True))
+        return _Block(
+            self, (rows, columns), center_px[best], math.prod(wanted), float(light[best]), float(away_px[best])
+        )
 
 
 def _extent(lit: Booleans) -> tuple[slice, slice]:
@@ -282,11 +289,6 @@ def _extent(lit: Booleans) -> tuple[slice, slice]:
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     rows, columns = ndimage.find_objects(patches)[int(np.argmax(sizes))]
     return rows, columns
-
-
-def _is_cut(lit: slice, whole: int, wanted: int) -> bool:
-    """True if too few lit rows (or columns) end at one edge, with unlit ones on the other side."""
-    return bool(lit.stop - lit.start < wanted < whole and (lit.start == 0) != (lit.stop == whole))
 
 
 def _occupied(lit: Booleans, axis: int, wanted: int) -> Floats:

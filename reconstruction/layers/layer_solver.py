@@ -70,7 +70,7 @@ class LayerDesign:
         along_y = self._along(sensor.pupil_y_m / half_y_m, half_y_m, reach_m, degree)  # (row, j, n, node)
         of_y = np.ascontiguousarray(along_y.transpose(1, 2, 0, 3)[j])  # (k, n, row, node)
         modes, nodes = self._to_modes.shape[:2]
-        rows, columns = sensor.lenslet_rows, sensor.lenslet_columns
+        rows, columns = sensor.lenslets
         local = np.empty((rows, columns, len(i), len(self._n), modes), np.float32)
         step = 1 if sensor.arrangement == "square" else 2  # odd rows of a hexagonal lattice are shifted
         for first, x_m in enumerate(sensor.lenslet_centers_m[:step, :, 0]):
@@ -234,7 +234,7 @@ class LayerSolver:
             raise ReconstructionError("the distance of a layer needs displacements that change over the field")
         self.free, self.errors = free, free.errors
         self.systematic_share = _SYSTEMATIC_SHARE + _SHARE_PER_HIDDEN * hidden
-        self.degree = min(min(sensor.lenslet_rows, sensor.lenslet_columns) + _MORE_THAN_LENSLETS, _HIGHEST_DEGREE)
+        self.degree = min(min(sensor.lenslets) + _MORE_THAN_LENSLETS, _HIGHEST_DEGREE)
         self._design = LayerDesign(sensor, field, field_modes, free.errors)
         self.footprint_m = self._design.footprint_m
         size = free.errors.colour.shape[0] * free.errors.colour.shape[1] * 4

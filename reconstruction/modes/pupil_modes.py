@@ -57,7 +57,7 @@ def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilMo
     if basis not in BASES:
         raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
-        count = number_up_to(min(sensor.lenslet_rows - 1, sensor.lenslet_columns - 1, _HIGHEST_DEGREE))
+        count = number_up_to(min(min(sensor.lenslets) - 1, _HIGHEST_DEGREE))
     return BASES[basis].modes(sensor, count)
 
 
@@ -219,7 +219,7 @@ def local_wavefronts(products: Floats, sensor: Sensor, degree: int, rows: NDArra
         return np.asarray(np.einsum("cik,ij->cjk", series.legvander(at, highest), project))  # (cell, local, k)
 
     half_x_m, half_y_m = sensor.pupil_half_width_m
-    rows = np.arange(sensor.lenslet_rows) if rows is None else rows
+    rows = np.arange(sensor.lenslets[0]) if rows is None else rows
     along_y = in_cells(sensor.pupil_y_m[rows], half_y_m)
     rows_of_x = sensor.lenslet_centers_m[:2, :, 0]  # of even and of odd rows
     local = np.empty((len(along_y), rows_of_x.shape[1], degree + 1, degree + 1, len(products)))

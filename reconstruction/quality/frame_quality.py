@@ -157,15 +157,14 @@ class QualityChecker:
 
     def _of_matches(self, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in the outcomes of the lenslets, their residuals and their slopes."""
-        outcome, count = displacement.outcome, displacement.outcome.size
-        counts = np.bincount(outcome[self._lit], minlength=len(LensletStatus)).tolist()
+        counts = np.bincount(displacement.outcome[self._lit], minlength=len(LensletStatus)).tolist()
         unlike, left, dark = counts[LensletStatus.DIVERGED], counts[LensletStatus.LEFT_CELL], counts[LensletStatus.DARK]
         saturated = counts[LensletStatus.SATURATED]
-        lit = sum(counts)
+        lit = sum(counts)  # the others are absent
         deformation_px, spread_px = self._sizes_px(displacement)
         misfit = _misfit(displacement) if self._knows_misfit else 0.0
         if unlike > _UNLIKE * lit:
-            yield Fault.MISFIT, f"{unlike} of {count} subimages do not match the reference: {_LOOK}"
+            yield Fault.MISFIT, f"{unlike} of {lit} subimages do not match the reference: {_LOOK}"
         elif misfit > math.hypot(_LEAST_MISFIT, self._limits.pixels * deformation_px):
             differ = f"differ from the reference's by {100 * misfit:.0f} % of the contrast"
             yield Fault.MISFIT, f"the subimages {differ}: {_LOOK}"
@@ -177,12 +176,12 @@ class QualityChecker:
             moved = "has the camera turned since the reference, or is the frame torn?"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
         if saturated > _SATURATED * lit:
-            yield Fault.CLIPPED, f"{saturated} of {count} lenslets are saturated: {TOO_BRIGHT}"
+            yield Fault.CLIPPED, f"{saturated} of {lit} lenslets are saturated: {TOO_BRIGHT}"
         if left > _LEFT * lit:
-            yield Fault.RANGE, f"{left} of {count} subimages have left their cells: the aberration is too strong"
+            yield Fault.RANGE, f"{left} of {lit} subimages have left their cells: the aberration is too strong"
         if dark > _BLOCKED * lit:
             are_dark = "are dark, but bright in the reference: find what blocks the light"
-            yield Fault.ILLUMINATION, f"{dark} of {count} lenslets {are_dark}"
+            yield Fault.ILLUMINATION, f"{dark} of {lit} lenslets {are_dark}"
 
     def _of_pixels(self, frame: Counts, displacement: Displacement) -> Iterator[tuple[Fault, str]]:
         """Faults seen in some pixels of a frame (row, column), counts, with these displacements."""

@@ -25,7 +25,7 @@ class LensletShift:
     def __init__(self, reference: ReferenceSubimages, dark: Counts | None) -> None:
         rows, columns = (count + 2 * _RINGS for count in reference.lenslets)
         place = lenslet_centers(reference.sensor.arrangement, rows, columns).reshape(-1, 2)  # pitches
-        self._px_per_pitch = reference.pitch_px * reference.turn
+        self._px_per_pitch = reference.px_per_pitch
         center_px = reference.center_px[0] + (place - place[_RINGS * columns + _RINGS]) @ self._px_per_pitch
         at_px = center_px[:, None] + reference.offset_px[::2] @ reference.turn
         column, row = np.moveaxis(np.rint(at_px).astype(np.intp), -1, 0)

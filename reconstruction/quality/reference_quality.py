@@ -52,9 +52,7 @@ def reference_quality(
                 f"the reference shows lenslets up to {off_px:.1f} px from [lattice], which is wrong or stale (calibrate"
                 " again, or leave [lattice] out), unless the mask is asymmetric (use a [lattice] from a symmetric one)"
             )
-        elif (more := lit_elsewhere(light, lattice, shown, sensor)) > _MISSING * min(
-            sensor.lenslet_rows, sensor.lenslet_columns
-        ):
+        elif (more := lit_elsewhere(light, lattice, shown, sensor)) > _MISSING * min(sensor.lenslets):
             reasons[Fault.LATTICE] = (
                 f"the reference shows {more} more lenslets whole pitches away from [lattice], which is wrong or stale"
                 " (calibrate again, or leave [lattice] out), unless the mask is asymmetric"
@@ -106,9 +104,9 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
     Whole pitches do not count: a reference may show more lenslets than the sensor has; see `lit_elsewhere`.
     """
-    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns)
+    centers = lenslet_centers(sensor.arrangement, *sensor.lenslets)
     corners = centers[[0, 0, -1, -1], [0, -1, 0, -1]]
-    off = other.from_camera_px(lattice.to_camera_px(corners * lattice.pitch_px)) / other.pitch_px - corners
+    off = other.in_pitches(lattice.camera_px(corners)) - corners
     mean = off.mean(axis=0)
     rows = np.rint(mean[1] / other.row_spacing)
     half = 0.0 if sensor.arrangement == "square" else (rows % 2) / 2
@@ -130,18 +128,17 @@ def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Senso
 def lit_lenslets(light: Floats, lattice: Lattice, sensor: Sensor) -> Booleans:
     """True for lenslets with an image in the light (row, column), counts, (lenslet_row, lenslet_column)."""
     contrast = _contrast(light, lattice, sensor, samples=int(lattice.pitch_px))
-    lit = contrast > DARK_CONTRAST * typical(contrast)
-    return lit.reshape(sensor.lenslet_rows, sensor.lenslet_columns)
+    return (contrast > DARK_CONTRAST * typical(contrast)).reshape(sensor.lenslets)
 
 
 def _contrast(light: Floats, lattice: Lattice, sensor: Sensor, samples: int = _SAMPLES) -> Floats:
-    """Standard deviation of the light (row, column) over each cell of a lattice, counts, (L,); 0 beyond the frame."""
+    """Standard deviation of the light (row, column) over each cell of a lattice, counts, (L,); 0 if it is cut."""
     steps = centered_steps(samples) / samples
-    centers = lenslet_centers(sensor.arrangement, sensor.lenslet_rows, sensor.lenslet_columns).reshape(-1, 1, 2)
+    centers = lenslet_centers(sensor.arrangement, *sensor.lenslets).reshape(-1, 1, 2)
     at = centers + np.stack(np.meshgrid(steps, steps * lattice.row_spacing), axis=-1).reshape(-1, 2)
-    column, row = np.moveaxis(np.rint(lattice.to_camera_px(at * lattice.pitch_px)).astype(np.intp), -1, 0)
+    column, row = np.moveaxis(np.rint(lattice.camera_px(at)).astype(np.intp), -1, 0)
     inside = (row >= 0) & (row < light.shape[0]) & (column >= 0) & (column < light.shape[1])
-    return np.asarray(np.std(np.where(inside, light[row * inside, column * inside], 0.0), axis=1))
+    return np.asarray(np.std(light[row * inside, column * inside], axis=1) * inside.all(axis=1))
 
 
 def leaked_light(dark: Floats, light: Floats) -> float:

@@ -92,7 +92,7 @@ class Centroids:
                 {f"{name} must lie in the field, -1 ... 1": position.size > 0 and bool(np.all(np.abs(position) <= 1))}
             )
         gaps_px = np.concatenate([np.diff(star_x), np.diff(star_y)]) * reference.half_width_px
-        self._gap_px = float(gaps_px.min(initial=reference.cell_height_px))  # between two spots
+        self._gap_px = float(gaps_px.min(initial=reference.side_px))  # between two spots
         require(
             {
                 "stars must lie at least two pixels' and a lenslet's blur apart": self._gap_px

@@ -12,14 +12,16 @@ from reconstruction.displacement import CovarianceSource, Displacement, LensletS
 from reconstruction.errors import ReconstructionError, UnusableSettings
 from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.noise import UNKNOWN_NOISE, KnownNoise
+from reconstruction.frame.pixels import ON_FRAME
 from reconstruction.frame.spline import interpolate, spline_coefficients
 from reconstruction.geometry import Field, Lattice, Sensor, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes
 
-_OFF_CAMERA_FRACTION = 0.5  # of the lenslets; with more, the lattice does not belong to this frame
-_SPOILT = 0.25  # of a subimage's squared gradients on bad pixels; with more, a lenslet is unlit
+_OFF_CAMERA_FRACTION = 0.6  # of the lenslets; with more, the lattice does not belong to this frame (turned: 0.5)
+_SPOILT = 0.25  # of a subimage's squared gradients on bad pixels or, when it moves, off the frame; more is too much
+_RIM_PX = 2  # at the frame's edge, where also positions beyond it are sampled
 _NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a pixel
-DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is unlit
+DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is absent, or dark in a frame
 MISFIT = 0.5  # residual over contrast above which a subimage does not match the reference
 _BRIGHT = 3  # rank of a lit lenslet's contrast; higher ones may be stray
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
@@ -71,60 +73,90 @@ class ReferenceSubimages:
         require({"reference_frames must be at least 1": noise.reference_frames >= 1})
         self.sensor, self.field = sensor, field
         self.noise, self.reference_frames = noise.of_frame, noise.reference_frames
-        self.lenslets = (sensor.lenslet_rows, sensor.lenslet_columns)
+        self.lenslets = sensor.lenslets
         self._field_outline = field.outline
         self._at_outline: dict[FieldModes, Floats] = {}  # field modes there, (Q, position), cached
         self.half_width_px = field.half_width_px(sensor)  # of the field, in a subimage
         self.blur_px = sensor.blur_px
         self.pitch_px = lattice.pitch_px
-        self.cell_height_px = lattice.pitch_px * lattice.row_spacing  # a cell is a pitch wide
-        self.reach_px = (self.cell_height_px - self.blur_px) / 2  # light beyond it reaches the next cell
+        self.cell_px = np.array([1.0, lattice.row_spacing]) * np.diag(lattice.pitch_matrix_px)  # its width and height
+        self.side_px = float(self.cell_px.min())  # of the square that is looked at
+        self.reach_px = (self.side_px - self.blur_px) / 2  # light beyond it reaches the next cell
         if not self.half_width_px < self.reach_px:
             raise ReconstructionError(
                 f"the image of the field, {2 * self.half_width_px:.1f} px wide, leaves no space to move in cells of"
-                f" {self.cell_height_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
+                f" {self.side_px:.1f} px, of which blur takes {self.blur_px:.1f} px: lower field.half_width_m"
             )
         self.center_px = lattice.lenslet_centers_px(*self.lenslets).reshape(-1, 2)  # (L, xy)
         self.turn = lattice.turn  # row vectors: lattice frame @ turn = camera
+        self.px_per_pitch = lattice.pitch_matrix_px @ lattice.turn  # the same, from pitches
 
-        self.steps_px = centered_steps(int(self.cell_height_px))  # of a window's columns, and of its rows
+        self.steps_px = centered_steps(int(self.side_px))  # of a window's columns, and of its rows
         self.width = self.steps_px.size
         y, x = (grid.ravel() for grid in np.meshgrid(self.steps_px, self.steps_px, indexing="ij"))
         self.offset_px = np.stack([x, y], axis=-1)  # window positions about the centre, lattice frame, (N, xy)
         position_px = self.center_px[:, None] + self.offset_px @ self.turn
-        edge = np.array(reference.shape[::-1]) - 1
+        self._edge_px = np.array(reference.shape[::-1]) - 1.0  # the last pixel of the frame, (xy,)
         corners_px = position_px[:, [0, self.width - 1, -self.width, -1]]
-        self.off_camera = np.any((corners_px < -0.5) | (corners_px > edge + 0.5), axis=(1, 2))
-        if np.mean(self.off_camera) > _OFF_CAMERA_FRACTION:
-            rows, columns = reference.shape
-            raise ReconstructionError(
-                f"{np.count_nonzero(self.off_camera)} of {self.off_camera.size} lenslets lie outside the frame of"
-                f" {rows} x {columns} pixels: check [lattice] and the frame's size"
-            )
-        self.position_px = np.clip(position_px, 0, edge)  # of the windows on the camera, (L, N, xy)
+        is_cut = np.asarray(~self._is_on_frame(corners_px).all(axis=1))
+        self.position_px = np.clip(position_px, 0, self._edge_px)  # of the windows on the camera, (L, N, xy)
 
         self.bad = np.zeros(reference.shape, np.bool_) if bad is None else bad  # (row, column)
         self.image = repaired(reference, self.bad)  # the whole frame, (row, column)
         self.spline_coefficients = spline_coefficients(self.image)
         self.light, gradient = interpolate(self.spline_coefficients, self.position_px)  # (L, N)
         self.gradient = gradient @ self.turn.T  # per pixel, lattice frame, (L, N, xy)
-        self.usable = self._usable()  # (L, N)
         self.contrast = self.light.std(axis=1)  # (L,)
-        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~self.off_camera]))
-        if not self.usable.all():
-            steepness = np.sum(self.gradient**2, axis=2)
-            dark |= np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1)
+        self.usable = self._usable(is_cut)  # (L, N)
+        spoilt = self._are_spoilt(is_cut)
+        if np.mean(off_camera := is_cut & spoilt) > _OFF_CAMERA_FRACTION:
+            raise ReconstructionError(
+                f"{np.count_nonzero(off_camera)} of {off_camera.size} lenslets lie outside the frame of"
+                f" {' x '.join(map(str, reference.shape))} pixels: check [lattice] and the frame's size, or omit"
+                " sensor.lenslet_rows and lenslet_columns, which are then found"
+            )
+        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~off_camera])) | off_camera
         is_excluded = np.zeros(self.lenslets, np.bool_)
-        for lenslet in excluded:
-            is_excluded[lenslet] = True
+        is_excluded[tuple(np.array([*excluded], np.intp).reshape(-1, 2).T)] = True
         self.excluded = is_excluded.ravel() | (~sensor.is_in_pupil.ravel() & ~dark)
-        self.lit = ~dark & ~self.off_camera & ~self.excluded
+        self.absent = dark & ~self.excluded  # the reference has no image of them
+        self.lit = ~dark & ~spoilt & ~self.excluded
+        self.at_edge = np.flatnonzero(is_cut & self.lit)  # lenslets at the frame's edge, which cuts their cells
         if not sensor.is_in_pupil.any():
             raise UnusableSettings("no centre of a lenslet lies in the pupil: change [pupil]")
         if self.excluded.all():
             raise UnusableSettings("all lenslets are excluded by hand: use some of them again")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
+
+    def _is_on_frame(self, position_px: Floats, rim_px: float = -0.5) -> Booleans:
+        """True for camera positions (..., xy) that lie on the frame, inside a rim of that width, (...)."""
+        return np.asarray(np.all((position_px >= rim_px) & (position_px <= self._edge_px - rim_px), axis=-1))
+
+    def _are_spoilt(self, is_cut: Booleans) -> Booleans:
+        """True for lenslets (L,) of whose image too much lies on bad pixels, or beyond the frame that cuts them."""
+        steepness = np.sum(self.gradient**2, axis=2)
+        brightest = np.max(self.contrast[~is_cut], initial=0.0)
+        whole = self.gradient[~is_cut & (self.contrast > DARK_CONTRAST * brightest)]
+        mean = whole.mean(axis=0) if len(whole) else np.zeros_like(self.gradient[0])  # noise averages out
+        self._typical_steepness = np.sum(mean**2, axis=1)  # squared gradients of the mean image, (N,)
+        spoilt = np.asarray(np.sum(steepness * ~self.usable, axis=1) > _SPOILT * np.sum(steepness, axis=1))
+        cut = np.flatnonzero(is_cut)
+        spoilt[cut] = self._left_on_frame(cut, np.zeros((len(cut), 2))) < ON_FRAME
+        return spoilt
+
+    def _left_on_frame(self, lenslets: NDArray[np.intp], displacement: NDArray[np.floating[Any]]) -> Floats:
+        """Share (K,) of a typical image on the frame, in some lenslets and displaced by (K, xy), px."""
+        middle_px = self.center_px[lenslets] + displacement @ self.turn
+        inside = self._is_on_frame(middle_px[:, None] + self.offset_px @ self.turn, _RIM_PX)
+        whole = max(float(self._typical_steepness.sum()), np.finfo(np.float32).tiny)
+        return np.asarray(inside @ self._typical_steepness / whole)
+
+    def leaves_frame(self, displacement: NDArray[np.floating[Any]]) -> Booleans:
+        """True for lenslets (L,) at the frame's edge whose image a displacement (L, xy), px, takes beyond it."""
+        found = np.zeros(len(self.center_px), np.bool_)
+        found[self.at_edge] = self._left_on_frame(self.at_edge, displacement[self.at_edge]) < 1 - _SPOILT
+        return found
 
     def spline(self, light: Image, *, saturated: Booleans | None = None) -> Image:
         """Spline coefficients of a frame (row, column), bad and saturated pixels repaired."""
@@ -154,7 +186,7 @@ class ReferenceSubimages:
             return np.zeros(len(self.center_px), np.bool_)
         row, column = np.nonzero(pixels)
         away_px = (np.stack([column, row], axis=-1) - self.center_px[:, None]) @ self.turn.T
-        near_px = np.array([self.pitch_px, self.cell_height_px]) / 2 + _NEXT_PX
+        near_px = self.cell_px / 2 + _NEXT_PX
         return np.asarray(np.any(np.all(np.abs(away_px) < near_px, axis=-1), axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
@@ -170,9 +202,22 @@ class ReferenceSubimages:
         allowed_px = max(self.reach_px - self.half_width_px, np.finfo(np.float32).tiny)
         return np.asarray(np.maximum(farthest_px - self.half_width_px, 0) / allowed_px)
 
-    def _usable(self) -> Booleans:
-        """True for window positions without a bad pixel among the four around them, (L, N)."""
+    @cached_property
+    def unusable(self) -> Booleans:
+        """Bad pixels (row, column), and the frame's rim if it cuts lenslets."""
+        if not self.at_edge.size:
+            return self.bad
+        rim = np.ones_like(self.bad)
+        rim[_RIM_PX:-_RIM_PX, _RIM_PX:-_RIM_PX] = False
+        return np.asarray(self.bad | rim)
+
+    def _usable(self, is_cut: Booleans) -> Booleans:
+        """True for window positions without a bad pixel among the four around them, (L, N).
+
+        Of lenslets that the frame cuts, (L,), also inside the frame's rim.
+        """
         usable = np.ones(self.position_px.shape[:2], np.bool_)
+        usable[is_cut] = self._is_on_frame(self.position_px[is_cut], _RIM_PX)
         if self.bad.any():
             rows, columns = self.bad.shape
             column, row = np.moveaxis(np.floor(self.position_px).astype(np.intp), -1, 0)
@@ -222,11 +267,13 @@ def classify_lenslets(
     range_used = reference.range_used(np.where(lost[:, None, None], 0, coefficients), modes)
     outcome = np.full(len(coefficients), LensletStatus.CONVERGED, np.int8)
     outcome[range_used > 1] = LensletStatus.LEFT_CELL
+    if reference.at_edge.size:
+        outcome[reference.leaves_frame(np.where(lost[:, None], 0, coefficients[:, :, 0]))] = LensletStatus.LEFT_CELL
     for reason, fault in faults.items():
         outcome[fault] = reason
     contrast = np.where(np.isfinite(contrast), contrast, 0)
     outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = LensletStatus.DARK
-    outcome[reference.off_camera] = LensletStatus.OFF_CAMERA
+    outcome[reference.absent] = LensletStatus.ABSENT
     outcome[reference.excluded] = LensletStatus.EXCLUDED
     found = outcome == LensletStatus.CONVERGED
     far = (outcome == LensletStatus.LEFT_CELL) & (range_used > 0)

@@ -69,7 +69,7 @@ class Response:
 
     def __call__(self, modes: PupilModes, lenslets: Lenslets) -> Floats:
         """Parameters per rad of each mode; see `MeanGradients`."""
-        row, column = np.divmod(np.arange(len(self._shown))[lenslets], self._sensor.lenslet_columns)
+        row, column = np.divmod(np.arange(len(self._shown))[lenslets], self._sensor.lenslets[1])
         rows, place = np.unique(row, return_inverse=True)  # only these: preparing asks for few lenslets at a time
         local = local_wavefronts(modes.products[1:], self._sensor, self._shape[1] - 1, rows)
         local = local[place[:, None], column[:, None], self._n, self._m]  # (lenslet, j, pupil_mode - 1)

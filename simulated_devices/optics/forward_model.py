@@ -161,8 +161,8 @@ class ForwardModel:
         # Positions of a hexagonal lattice are every second one of a rectangular lattice with half the pitch along x;
         # an even number of rows more keeps its odd rows odd.
         part = 1 if sensor.arrangement == "square" else 2
-        self._lenslet_rows = sensor.lenslet_rows + 2 * part * math.ceil(border_lenslets / part)
-        lenslet_columns = sensor.lenslet_columns + 2 * border_lenslets
+        self._lenslet_rows = sensor.lenslets[0] + 2 * part * math.ceil(border_lenslets / part)
+        lenslet_columns = sensor.lenslets[1] + 2 * border_lenslets
         self._lenslet_columns = lenslet_columns * part
         self._pixels = PixelGrid(
             sensor,
@@ -193,8 +193,8 @@ class ForwardModel:
         sensor, samples = self._sensor, self._samples
         part = 1 if sensor.arrangement == "square" else 2
         row, column = np.indices(coefficients.shape[:2])
-        row += (self._lenslet_rows - sensor.lenslet_rows) // 2
-        column = part * column + row % part + (self._lenslet_columns - part * sensor.lenslet_columns) // 2
+        row += (self._lenslet_rows - sensor.lenslets[0]) // 2
+        column = part * column + row % part + (self._lenslet_columns - part * sensor.lenslets[1]) // 2
         of_places = np.zeros((self._lenslet_rows, self._lenslet_columns, *coefficients.shape[2:]))
         of_places[row, column] = coefficients
         of_x = np.tile(np.repeat(np.arange(self._lenslet_columns), samples // 2), 2)

@@ -43,7 +43,7 @@ def jacobi_zernike(j: int, x: Floats, y: Floats) -> Floats:
 
 def fitted(rad: Floats, field_modes: FieldModes, *, basis: PupilBasis = "legendre") -> ModalFit:
     exact = np.zeros((len(rad) - 1, rad.shape[1], 1))
-    known = np.ones((SENSOR.lenslet_rows, SENSOR.lenslet_columns), np.bool_)
+    known = np.ones(SENSOR.lenslets, np.bool_)
     modes = pupil_modes(SENSOR, basis, len(rad))
     return ModalFit(SENSOR, modes, field_modes, rad, exact, known)
 

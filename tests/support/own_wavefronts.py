@@ -30,7 +30,7 @@ def model_of(bench: SmallBench, source: SourcePoints, width: int) -> LensletImag
 def local_wave(bench: SmallBench, n: int, m: int) -> Floats:
     """P_n(eta) P_m(xi) over the lenslet of each pupil sample, and its slopes per unit of xi and eta, (3, y, x)."""
     pitch_m = bench.sensor.lenslet_pitch_m
-    centre = [(count - 1) / 2 % 1 for count in (bench.sensor.lenslet_columns, bench.sensor.lenslet_rows)]
+    centre = [(count - 1) / 2 % 1 for count in reversed(bench.sensor.lenslets)]
     along = zip(bench.samples(), centre, strict=True)
     xi, eta = (2 * (at / pitch_m - np.rint(at / pitch_m - middle) - middle) for at, middle in along)
     of_xi, of_eta = Legendre.basis(m), Legendre.basis(n)
@@ -56,7 +56,7 @@ class Lenslets:
         uneven: float = 0.0,
         excluded: list[tuple[int, int]] | tuple[()] = (),
     ) -> None:
-        count = bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
+        count = bench.sensor.lenslets
         random, pitch_m = np.random.default_rng(7), bench.sensor.lenslet_pitch_m
         rad = random.normal(0, rms_rad, (len(orders), *count))
         self.rad = rad - rad.mean(axis=(1, 2), keepdims=True)  # what all have counts as the source's shape

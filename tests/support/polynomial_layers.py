@@ -32,15 +32,15 @@ def displacements_px(phase: Floats, ratio: float) -> Floats:
     """
     nodes, weights = series.leggauss(6)
     half_mm = SENSOR.lenslet_pitch_m / 2 * 1e3
-    u_mm = (centered_steps(SENSOR.lenslet_columns)[:, None] * 2 + nodes) * half_mm  # (column, node)
-    v_mm = (centered_steps(SENSOR.lenslet_rows)[:, None] * 2 + nodes) * half_mm
+    u_mm = (centered_steps(SENSOR.lenslets[1])[:, None] * 2 + nodes) * half_mm  # (column, node)
+    v_mm = (centered_steps(SENSOR.lenslets[0])[:, None] * 2 + nodes) * half_mm
     x_mm = nodes * FIELD.half_width_m * 1e3
     s_x = u_mm[:, :, None] + ratio * x_mm  # (column, node, field x)
     s_y = v_mm[:, :, None] + ratio * x_mm
     fields = np.array([series.legval(nodes, row) for row in np.eye(5)])  # P_a at the nodes
     project = fields * weights * (np.arange(5)[:, None] + 0.5)
     orders = [(degree - n, n) for degree in range(5) for n in range(degree + 1)]
-    found = np.zeros((SENSOR.lenslet_rows, SENSOR.lenslet_columns, len(orders), 2))
+    found = np.zeros((*SENSOR.lenslets, len(orders), 2))
     for axis, derivative in enumerate((powers.polyder(phase, axis=1), powers.polyder(phase, axis=0))):
         values = powers.polygrid2d(s_y.ravel(), s_x.ravel(), derivative)  # rad/mm
         values = values.reshape(*s_y.shape, *s_x.shape)  # (row, node, field y, column, node, field x)
@@ -76,7 +76,7 @@ def light(phase: Floats, ratio: float, u_m: Floats, v_m: Floats, x_m: float, y_m
 def solver(modes: LegendreModes = MODES, hidden: int = 0) -> LayerSolver:
     """Solver for displacements with the error NOISE_PX, and mean gradients."""
     parameters, smooth = gradient_basis(modes), pupil_modes(SENSOR, "legendre", None)
-    variance = np.full((SENSOR.lenslet_rows, SENSOR.lenslet_columns, modes.count, 2), NOISE_PX**2)
+    variance = np.full((*SENSOR.lenslets, modes.count, 2), NOISE_PX**2)
     free = ModalSolver(
         smooth,
         MeanGradients(SENSOR, parameters),

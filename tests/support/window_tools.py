@@ -39,7 +39,7 @@ class PatientBot(QtBot):
         super().waitUntil(callback, timeout=timeout)
 
 
-LENSLETS = (SENSOR.lenslet_rows, SENSOR.lenslet_columns)
+LENSLETS = SENSOR.lenslets
 
 
 def use_font(application: QApplication) -> None:

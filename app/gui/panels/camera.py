@@ -285,7 +285,7 @@ class CameraPanel(Panel):
         if lattice is None or sensor is None:
             return
         ends_px = np.array([(middle.x(), middle.y()), (edge.x(), edge.y())])
-        (x_m, y_m), end_m = lattice.from_camera_px(ends_px) * sensor.lenslet_pitch_m / lattice.pitch_px
+        (x_m, y_m), end_m = lattice.in_pitches(ends_px) * sensor.lenslet_pitch_m
         radius_m = max(math.dist((x_m, y_m), end_m), 1e-9)
         pupil = Pupil.round((float(x_m), float(y_m)), radius_m, 0.0 if before is None else before.obscuration)
         self._drawn.draw(np.zeros((0, 2)) if is_finished else camera_image.pupil_edges(lattice, sensor, pupil))
@@ -297,7 +297,7 @@ class CameraPanel(Panel):
     def _lenslets_between(self, start: QPointF, end: QPointF) -> list[Lenslet]:
         if self._lattice is None or self._sensor is None:
             return []
-        at = self._lattice.lenslet_centers_px(self._sensor.lenslet_rows, self._sensor.lenslet_columns)
+        at = self._lattice.lenslet_centers_px(*self._sensor.lenslets)
         corners = np.sort([[start.x(), start.y()], [end.x(), end.y()]], axis=0)
         inside = np.all((at >= corners[0]) & (at <= corners[1]), axis=-1)
         return [(int(row), int(column)) for row, column in np.argwhere(inside)]
@@ -311,7 +311,7 @@ class CameraPanel(Panel):
         sensor = self._sensor
         if sensor is None or self._lattice is None:
             return None
-        return camera_image.lenslet_at(self._lattice, (sensor.lenslet_rows, sensor.lenslet_columns), at.x(), at.y())
+        return camera_image.lenslet_at(self._lattice, sensor.lenslets, at.x(), at.y())
 
     def inspect(self, lenslet: Lenslet | None) -> None:
         self._inspected = lenslet
@@ -331,13 +331,12 @@ class CameraPanel(Panel):
         self._inspected_box.setVisible(lattice is not None and self._inspected is not None)
         if lattice is None or sensor is None:
             return
-        lenslets = sensor.lenslet_rows, sensor.lenslet_columns
         if has_lattice:
-            self._lines.draw(camera_image.lattice_lines(lattice, *lenslets))
-            is_lost = np.zeros((1, 1), np.bool_) if displacement is None else ~displacement.valid
+            self._lines.draw(camera_image.lattice_lines(lattice, *sensor.lenslets))
+            is_lost = np.zeros((1, 1), np.bool_) if displacement is None else displacement.present & ~displacement.valid
             self._boxes.draw(camera_image.lost_boxes(lattice, is_lost))
         if self._inspected is not None:
-            self._inspected_box.draw(camera_image.cell_border(lattice, lenslets, self._inspected))
+            self._inspected_box.draw(camera_image.cell_border(lattice, sensor.lenslets, self._inspected))
         if has_arrows and displacement is not None:
             room_px, mean_px = _ARROW_REACH * lattice.pitch_px, displacement.mean
             self._magnification = 1 / self._reach.follow(camera_image.arrow_length_px(mean_px) / room_px)
@@ -379,5 +378,5 @@ class CameraPanel(Panel):
         name, reason = "row {}, column {}".format(*lenslet), LensletStatus(int(displacement.outcome[lenslet])).reason
         if not reason:
             return f"{text}    lenslet {name}"
-        self._graphics.setToolTip(f"Lenslet {name} is lost: {reason}")
+        self._graphics.setToolTip(f"Lenslet {name}: {reason}")
         return f"{text}    lenslet {name}: {reason}"

@@ -180,7 +180,7 @@ class ControlsPanel(Panel):
         about_reference = "\n".join(filter(None, (reference.note, status.mask_note)))
         self.dark.show_step(dark.validity, dark.taken_at, dark.note)
         self.reference.show_step(reference.validity, reference.taken_at, about_reference)
-        pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_px:.3f} px"
+        pitch = "" if status.lattice is None else f"pitch {status.lattice.pitch_text(3)}"
         self.lattice.show_step("good" if pitch else "missing", "", pitch)
         if self._refusal.reason:
             self.refuse(self._refusal.reason, is_replay=not self._has_devices)  # of what the status has enabled

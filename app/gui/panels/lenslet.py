@@ -109,7 +109,8 @@ class LensletPanel(Panel):
             self.show_nothing()
             return
         reason = found.outcome.reason
-        self._show_state(f"lost, {reason}" if reason else "converged")
+        is_absent = found.outcome is LensletStatus.ABSENT
+        self._show_state("lost, " * bool(reason and not is_absent) + (reason or "converged"))
         self._grey(is_grey=self.shown.data_freshness.is_grey)
         self.exclude.setText("Use again" if found.outcome is LensletStatus.EXCLUDED else "Exclude")
         top = max(float(found.reference.max()), float(found.frame.max()), 1.0)

@@ -313,15 +313,15 @@ class WavefrontPanel(Panel):
         else:
             sensor = wavefront.sensor
             values = aligned(found.values, sensor.arrangement) * self._factor
-            x_mm = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3
-            y_mm = (sensor.lenslet_rows - 1) / 2 * sensor.row_spacing_m * 1e3
+            rows, columns = sensor.lenslets
+            x_mm, y_mm = (columns - 1) / 2 * sensor.lenslet_pitch_m * 1e3, (rows - 1) / 2 * sensor.row_spacing_m * 1e3
 
             def at_lenslet(row: int, column: int, value: float) -> str:
                 text = presentation.value(value, unit) if np.isfinite(value) else "lost, no value"
                 return f"Lenslet row {row}, column {column}: {text}"
 
             measured = np.where(wavefront.displacement.valid, values, np.nan)  # the others are hatched
-            size_m = sensor.lenslet_columns * sensor.lenslet_pitch_m, sensor.lenslet_rows * sensor.row_spacing_m
+            size_m = sensor.lenslets[1] * sensor.lenslet_pitch_m, sensor.lenslets[0] * sensor.row_spacing_m
             edges = (sensor.pupil.edges_m / size_m + 0.5).tolist()
             maps = Maps(measured, scale_of(values), at_lenslet, reach=(x_mm, y_mm), reach_unit="mm", outline=edges)
             numbers = self._numbers

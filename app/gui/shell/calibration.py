@@ -20,7 +20,6 @@ from app.gui.widgets.texts import label
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.averages import BackgroundCheck
 from app.measurement.routines import Cancelled
-from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey
 
 _LAMP_PX = 16
@@ -72,7 +71,7 @@ class CalibrationGuide(QDialog):
 
         def propose(survey: Survey) -> None:
             self._camera.propose(survey)
-            self._messages.ask(lattice_found(survey), partial(self.use_lattice, survey.lattice))
+            self._messages.ask(lattice_found(survey), partial(self.use_lattice, survey))
 
         self._controller.send(lambda to: to.survey_lattice(), propose)
 
@@ -105,9 +104,9 @@ class CalibrationGuide(QDialog):
 
         self._controller.send(lambda to: to.undoable(), ask)
 
-    def use_lattice(self, lattice: Lattice) -> None:
+    def use_lattice(self, found: Survey) -> None:
         inform = partial(self._messages.inform, "the lattice is in use; Ctrl+S saves it")
-        self._settings.change(("lattice", lattice), then=lambda _: inform())
+        self._settings.change(("sensor", found.sensor), ("lattice", found.lattice), then=lambda _: inform())
 
     def begin(self, frames: int) -> None:
         """Take all steps, averaging `frames` frames into dark and reference; only show steps under way."""
@@ -177,7 +176,7 @@ class CalibrationGuide(QDialog):
 
                 def use() -> None:
                     self._mark(step, "done", text)
-                    self.use_lattice(result.lattice)
+                    self.use_lattice(result)
                     self._next()
 
                 question = "The bench has another lattice."

@@ -9,7 +9,7 @@ from app.gui.panels.panel import DataFreshness
 from app.gui.widgets.presentation import percent
 from app.measurement.auto_exposure import AutoExposure
 from app.measurement.measurement import Gap, Measurement
-from app.measurement.sensor_region import SensorArea, lenslets_outside
+from app.measurement.sensor_region import SensorArea, lenslets_outside, moved_lattice
 from app.progress import counted
 from app.recording.recorder import RecordingState
 from app.results.dataset import rotation_of
@@ -151,7 +151,7 @@ def lattice_found(survey: Survey) -> str:
     """Describe a proposed lattice."""
     lattice, lit = survey.lattice, survey.illuminated
     return (
-        f"found: pitch {lattice.pitch_px:.3f} px, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
+        f"found: pitch {lattice.pitch_text(3)}, rotation {lattice.rotation_rad * 1e3:+z.2f} mrad,"
         f" centre {lattice.center_x_px:.2f}, {lattice.center_y_px:.2f} px;"
         f" {lit.sum()} of {lit.size} illuminated; fit error {survey.residual_px:.3f} px RMS"
     )
@@ -177,16 +177,23 @@ def area_taken(status: Status, area: SensorArea) -> tuple[str, bool]:
 
 
 def _lenslets(status: Status) -> int:
-    return status.bench.sensor.lenslet_rows * status.bench.sensor.lenslet_columns
+    return math.prod(status.bench.sensor.lenslets)
 
 
 def _outside(status: Status, area: SensorArea) -> int:
-    return 0 if status.lattice is None else lenslets_outside(status.lattice, status.bench.sensor, area)
+    """Number of lenslets that this area cuts off, and not the edge of the camera's sensor."""
+    if status.lattice is None:
+        return 0
+    sensor, whole = status.bench.sensor, SensorArea(status.capabilities.sensor or area.region, 1)
+    beyond = lenslets_outside(moved_lattice(status.lattice, area, whole), sensor, whole)
+    return lenslets_outside(status.lattice, sensor, area) - beyond * (status.capabilities.sensor is not None)
 
 
 def _shows_few(status: Status, area: SensorArea) -> bool:
     """True if most lenslets lie outside a part of the sensor, so that no reference can be used."""
-    return area.region != status.capabilities.sensor is not None and _outside(status, area) > _lenslets(status) / 2
+    if area.region == status.capabilities.sensor or status.capabilities.sensor is None or status.lattice is None:
+        return False
+    return _outside(status, area) > _lenslets(status) / 2
 
 
 def _cut_off(status: Status, area: SensorArea) -> str:

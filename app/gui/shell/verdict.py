@@ -42,7 +42,7 @@ class VerdictButton(Button):
             numbers.append(percent(shown.statistics.peak / shown.statistics.clip_level))
             about.append(f"Brightest pixel: {numbers[0]} of full scale")
         if measurement is not None and wavefront is not None:
-            valid = wavefront.displacement.valid
+            valid = wavefront.displacement.valid[wavefront.displacement.present]
             self.valid = f"{np.count_nonzero(valid)} of {valid.size}"
             numbers += [self.valid, *_sigma(shown)]
             word, lamp, colour = "GOOD", "good", theme.GREEN

@@ -127,12 +127,12 @@ def lattice_lines(lattice: Lattice, lenslet_rows: int, lenslet_columns: int) -> 
     """Return the borders of all cells (2 * border, xy), px; a square lattice has each line once."""
     if lattice.arrangement == "hexagonal":
         middle = lenslet_centers(lattice.arrangement, lenslet_rows, lenslet_columns)[..., None, :]
-        return lattice.to_camera_px((middle + lattice.cell_corners[_AROUND]).reshape(-1, 2) * lattice.pitch_px)
+        return lattice.camera_px((middle + lattice.cell_corners[_AROUND]).reshape(-1, 2))
     x = centered_steps(lenslet_columns + 1)
     y = centered_steps(lenslet_rows + 1)
     vertical = [[(along, y[0]), (along, y[-1])] for along in x]
     horizontal = [[(x[0], along), (x[-1], along)] for along in y]
-    return lattice.to_camera_px(np.array(vertical + horizontal).reshape(-1, 2) * lattice.pitch_px)
+    return lattice.camera_px(np.array(vertical + horizontal).reshape(-1, 2))
 
 
 def lost_boxes(lattice: Lattice, is_lost: NDArray[np.bool_]) -> Floats:
@@ -141,13 +141,13 @@ def lost_boxes(lattice: Lattice, is_lost: NDArray[np.bool_]) -> Floats:
         return np.zeros((0, 2))
     middle = lenslet_centers(lattice.arrangement, *is_lost.shape)[is_lost]
     box = lattice.cell_corners[[*_AROUND, 0, 2, 1, 3]] * _INSET
-    return lattice.to_camera_px((middle[:, None] + box).reshape(-1, 2) * lattice.pitch_px)
+    return lattice.camera_px((middle[:, None] + box).reshape(-1, 2))
 
 
 def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]) -> Floats:
     """Return the border of the cell of one lenslet (row, column)."""
     middle = lenslet_centers(lattice.arrangement, *lenslets)[at]
-    return lattice.to_camera_px((middle + lattice.cell_corners[_AROUND]) * lattice.pitch_px)
+    return lattice.camera_px(middle + lattice.cell_corners[_AROUND])
 
 
 def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
@@ -156,7 +156,7 @@ def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> F
     Lenslets without a displacement (NaN), or with one of 0, have no arrow.
     """
     known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
-    tail = lenslet_centers(lattice.arrangement, *known.shape)[known] * lattice.pitch_px
+    tail = lenslet_centers(lattice.arrangement, *known.shape)[known] @ lattice.pitch_matrix_px
     shaft = displacement_px[known] * magnification
     tip = tail + shaft
     barbs = tip + _HEAD * shaft @ _BARBS
@@ -196,7 +196,7 @@ def pupil_edges(lattice: Lattice | None, sensor: Sensor | None, pupil: Pupil | N
     """Return the edges of a pupil and of its shadow as pairs of ends (2 * segment, xy)."""
     if lattice is None or sensor is None or pupil is None:
         return np.zeros((0, 2))
-    return lattice.to_camera_px(pupil.edges_m * lattice.pitch_px / sensor.lenslet_pitch_m)
+    return lattice.camera_px(pupil.edges_m / sensor.lenslet_pitch_m)
 
 
 def rectangle(start: QPointF, end: QPointF) -> Floats:

@@ -237,7 +237,7 @@ class GaussNewton:
         poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
         tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
         self._limits = FitLimits(tolerance_px.astype(np.float32), poor_square.astype(np.float32))
-        self._near_bad, self._touched_by_bad = reference.near(reference.bad), reference.touched(reference.bad)
+        self._near_bad, self._touched_by_bad = self._near(reference.bad), reference.touched(reference.bad)
         # Compile now instead of at the first frame.
         dark = np.zeros((8, 8), np.float32)
         self._fit(dark, dark > 0, np.zeros(len(reference.lit), np.bool_), None, lambda: None)
@@ -247,9 +247,10 @@ class GaussNewton:
         reference, warp = self.reference, self._warp
         is_saturated = bool(saturated.any())
         bad = reference.bad | saturated if is_saturated else reference.bad
-        sees_bad = reference.near(bad) if is_saturated else self._near_bad
+        unusable = reference.unusable | saturated if is_saturated else reference.unusable
+        sees_bad = self._near(bad) if is_saturated else self._near_bad
         coefficients, filter_share = shared_coefficients(repaired(light, bad) if bad.any() else light)
-        fits = self._fit(coefficients, bad, sees_bad, start, filter_share)
+        fits = self._fit(coefficients, unusable, sees_bad, start, filter_share)
 
         covariance, chi_square, unexplained, information_left = self._errors(fits)
         found = (fits.step_px < CONVERGED_PX) & (unexplained < self._unexplained)
@@ -294,6 +295,12 @@ class GaussNewton:
         of_noise = np.einsum("rck,krcij->rcij", variance, warp.brightness_covariance.reshape(2, *shape, terms, terms))
         return Transmission(beyond * per_gain, of_noise * per_gain[..., None] ** 2)
 
+    def _near(self, bad: Booleans) -> Booleans:
+        """True for lenslets (L,) near `bad` pixels (row, column), or cut by the frame's edge."""
+        near = self.reference.near(bad)
+        near[self.reference.at_edge] = True
+        return near
+
     def response(self, image: Floats, changes: Floats, own: Sequence[OwnWavefront] = ()) -> Floats:
         """See `response.WarpRegistration`. A warp of that subimage is found as it is."""
         return respond(self._warp, image, changes, own)
@@ -329,7 +336,7 @@ class GaussNewton:
             sees_bad=sees_bad,
             center_px=reference.center_px,
             turn=reference.turn[0].astype(np.float32),
-            half_cell_px=np.float32(reference.cell_height_px / 2),
+            half_cell_px=np.float32(reference.side_px / 2),
         )
 
         counters, grids = new_counters(), (self._start.grid, grid)

@@ -99,7 +99,7 @@ def test_dark_is_subtracted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, ref
     [
         (lambda _: np.random.default_rng(0).normal(500, 8, (512, 512)).astype(np.float32), "shows no lattice"),
         (lambda image: np.minimum(image.astype(np.float64) * 90, 65535).astype(np.uint16), "is saturated"),
-        (lambda image: image[:200], "do not fit on 200 x 512 pixels"),
+        (lambda image: image[:40], "not even 2 x 2 lenslets of 31.3 px fit on 40 x 512 pixels"),
         (lambda image: np.where(image > 0, np.float32(np.nan), 0), "not finite"),
     ],
 )

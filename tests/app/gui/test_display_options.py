@@ -105,7 +105,7 @@ def test_fitted_pupil_limits_all_numbers_and_is_drawn_on_the_camera(window: Main
     camera.show_numbers()
     assert panel.grid.maps is not None
     x, y = np.transpose(list(panel.grid.maps.outline)) - 0.5  # shares of the map
-    widths = SENSOR.lenslet_columns * SENSOR.lenslet_pitch_m, SENSOR.lenslet_rows * SENSOR.lenslet_pitch_m
+    widths = SENSOR.lenslets[1] * SENSOR.lenslet_pitch_m, SENSOR.lenslets[0] * SENSOR.lenslet_pitch_m
     np.testing.assert_allclose(np.hypot(x * widths[0], y * widths[1]).max(), pupil.radius_m)
     distance_px = np.hypot(*(camera._pupil.ends - (LATTICE.center_x_px, LATTICE.center_y_px)).T)
     np.testing.assert_allclose(distance_px.max(), pupil.radius_m / SENSOR.lenslet_pitch_m * LATTICE.pitch_px)
@@ -274,9 +274,9 @@ def test_columns_of_hexagonal_maps_are_straight(make_window: MakeWindow) -> None
     )
     maps = window.panels.wavefronts.grid.maps
     assert maps is not None
-    half_m = (sensor.lenslet_columns - 1) / 2 * sensor.lenslet_pitch_m
+    half_m = (sensor.lenslets[1] - 1) / 2 * sensor.lenslet_pitch_m
     np.testing.assert_allclose(maps.values[1, 1, :, -1], 1e3 * half_m, rtol=1e-6)
-    half_high_m = (sensor.lenslet_rows - 1) / 2 * sensor.lenslet_pitch_m * math.sqrt(3) / 2
+    half_high_m = (sensor.lenslets[0] - 1) / 2 * sensor.lenslet_pitch_m * math.sqrt(3) / 2
     assert maps.reach == pytest.approx((1e3 * half_m, 1e3 * half_high_m))
 
 

@@ -43,10 +43,7 @@ def test_picture_and_results_are_those_that_are_shown(
         np.testing.assert_array_equal(results["wavefront"].values, shown.views)
         assert results["wavefront"].shape[:2] == (2, 2)
         assert results.attrs["display"] == "no tilt"
-        views, column = (
-            results["wavefront"].values,
-            np.arange(SENSOR.lenslet_columns) - (SENSOR.lenslet_columns - 1) / 2,
-        )
+        views, column = (results["wavefront"].values, np.arange(SENSOR.lenslets[1]) - (SENSOR.lenslets[1] - 1) / 2)
     assert np.abs(np.sum(views * column, axis=(2, 3))).max() < 1e-6  # least squares leave no tilt
 
 

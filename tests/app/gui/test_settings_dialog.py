@@ -100,13 +100,14 @@ def test_new_bench_has_the_connected_camera(
     choose(dialog, "light.driver", "manual")
     QApplication.processEvents()
     unknown = {path: field.example for path, (field, _) in dialog.editors.items() if field.example}
-    assert len(unknown) == 8
+    assert len(unknown) == 6  # rows and columns are found in a reference
     for field, example in unknown.items():  # of lenslets that are not this camera's
         line = dialog.editors[field][1]
         assert isinstance(line, QLineEdit)
         assert (line.text(), line.placeholderText()) == ("", f"for example {example}")
         assert not dialog.apply.isEnabled()
-        write(dialog, field, "20" if field == "sensor.lenslet_rows" else example)
+        write(dialog, field, example)
+    write(dialog, "sensor.lenslet_rows", "20")
     assert dialog.apply.isEnabled()
     path = tmp_path / "mine.toml"
     monkeypatch.setattr(QFileDialog, "getSaveFileName", lambda *_: (str(path), ""))
@@ -116,7 +117,7 @@ def test_new_bench_has_the_connected_camera(
     assert opened == [bench]
     assert bench.camera == GenicamSettings(device="Mako 7")
     assert bench.light == ManualLightSettings()
-    assert (bench.sensor.lenslet_rows, bench.lattice) == (20, None)
+    assert (bench.sensor.lenslet_rows, bench.sensor.lenslet_columns, bench.lattice) == (20, None, None)
     assert benches.recent.paths() == (path,)
 
 
@@ -197,7 +198,7 @@ def test_empty_list_is_none(benches: Benches) -> None:
 def test_new_bench_is_not_red_before_anything_is_typed(benches: Benches, qtbot: QtBot) -> None:
     benches.make()
     dialog = dialog_of(benches)
-    assert dialog.problem.text().startswith("Still to be filled in: Lenslet rows, Lenslet columns, ")
+    assert dialog.problem.text().startswith("Still to be filled in: Lenslet pitch, ")
     assert dialog.problem.property("tone") == "dim"
     assert not any("color" in editor.styleSheet() for _, editor in dialog.editors.values())
     rows = write(dialog, "sensor.lenslet_rows", "many")

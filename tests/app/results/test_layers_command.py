@@ -198,7 +198,7 @@ def test_residual_at_the_pupil_is_the_change_over_the_field(
     sensor, screen = bench.sensor, make_sample(bench.simulation, bench.sensor, bench.field).screen
     along_m = np.linspace(-1, 1, 7) * bench.field.half_width_m
     x_m = sensor.pupil_x_m - 0.975 * along_m[:, None]  # (field, lenslet)
-    true = screen.at(x_m[None, :, None, :], x_m[:, None, :, None]).reshape(49, *(2 * [sensor.lenslet_rows]))
+    true = screen.at(x_m[None, :, None, :], x_m[:, None, :, None]).reshape(49, *(2 * [sensor.lenslets[0]]))
     true -= true.mean(axis=(1, 2), keepdims=True)
     expected = np.sqrt(np.mean((true - true.mean(axis=0)) ** 2))
     with xr.open_dataset(out, engine="h5netcdf") as found:
@@ -328,14 +328,14 @@ def test_damaged_results_are_refused(
 
 def test_corrector_needs_a_wavefront_that_changes_over_the_field() -> None:
     bench = load_bench("small_demo")
-    same = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) ** 2.0
+    same = np.add.outer(np.arange(bench.sensor.lenslets[0]), np.arange(bench.sensor.lenslets[1])) ** 2.0
     with pytest.raises(ValueError, match="the same at every field position"):
         compare_correctors(lambda _x, _y: same, bench, Corrector("zernike", 10), at_m=None, origin="lenslets")
 
 
 def test_uncorrected_is_the_rms_over_field_and_pupil() -> None:
     bench = load_bench("small_demo")
-    pupil = np.add.outer(np.arange(bench.sensor.lenslet_rows), np.arange(bench.sensor.lenslet_columns)) / 10.0
+    pupil = np.add.outer(np.arange(bench.sensor.lenslets[0]), np.arange(bench.sensor.lenslets[1])) / 10.0
 
     def wavefront(x_m: float, y_m: float) -> Floats:
         return pupil * (x_m - 2 * y_m) / bench.field.half_width_m

@@ -44,5 +44,5 @@ def test_frame_without_lattice_is_refused(make: object) -> None:
 
 
 def test_too_small_frame_is_refused() -> None:
-    with pytest.raises(ReconstructionError, match="do not fit on 100 x 100 pixels"):
-        survey(np.ones((100, 100)), sensor_of(7, 9))
+    with pytest.raises(ReconstructionError, match=r"not even 2 x 2 lenslets of 31\.3 px fit on 100 x 40 pixels"):
+        survey(np.ones((100, 40)), sensor_of(7, 9))

@@ -52,7 +52,7 @@ def test_corrector_at_the_pupil_leaves_the_change_over_the_field() -> None:
     """Of b (u + r x)^2 it leaves 2 b r u (x - mean x), without what is constant over the pupil."""
     ratio, bend = 0.8, 0.7
     phases = np.array([bend * (SENSOR.pupil_x_m + ratio * x_m) ** 2 * 1e6 for x_m, _ in POSITIONS_M])
-    phases = np.broadcast_to(phases[:, None, :], (len(phases), SENSOR.lenslet_rows, SENSOR.lenslet_columns))
+    phases = np.broadcast_to(phases[:, None, :], (len(phases), *SENSOR.lenslets))
     made = correct(phases, 0.0, Corrector("legendre", 15))
     x_mm = POSITIONS_M[:, 0] * 1e3
     expected = 2 * bend * ratio * np.abs(x_mm - x_mm.mean()) * np.std(SENSOR.pupil_x_m * 1e3)
@@ -70,7 +70,7 @@ def test_residual_is_least_at_the_layer() -> None:
 
 def test_strehl_of_a_residual() -> None:
     """Without useful shapes the Strehl ratio is |<exp(i phi)>|^2 of the wavefront itself."""
-    phases = np.zeros((1, SENSOR.lenslet_rows, SENSOR.lenslet_columns))
+    phases = np.zeros((1, *SENSOR.lenslets))
     phases[0, :, ::2] = 0.4  # no tilt, as the columns are symmetric
     made = best_correction(
         phases, positions_m=np.zeros((1, 2)), sensor=SENSOR, field=FIELD, ratio=0.0, corrector=Corrector("legendre", 3)

@@ -130,7 +130,7 @@ def test_error_bars_behind_a_sample_with_depth_are_larger_until_it_is_corrected(
 
 
 def test_too_few_lenslets_are_refused() -> None:
-    few = displacement(displacements_px(PHASE, 0.6), lost=SENSOR.lenslet_rows * SENSOR.lenslet_columns - 8)
+    few = displacement(displacements_px(PHASE, 0.6), lost=math.prod(SENSOR.lenslets) - 8)
     with pytest.raises(ReconstructionError, match="at least 9 valid lenslets"):
         WAVEFRONTS(few, None, AssumedSample((0.6,)))
 

@@ -22,7 +22,7 @@ def pupil(sensor: Sensor = SENSOR) -> tuple[Floats, Floats]:
 
 
 def flat(sensor: Sensor = SENSOR) -> Floats:
-    return np.zeros((sensor.lenslet_rows, sensor.lenslet_columns))
+    return np.zeros(sensor.lenslets)
 
 
 def aberrated(seed: int = 3) -> Floats:

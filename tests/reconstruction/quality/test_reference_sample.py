@@ -48,7 +48,7 @@ def noisy(image: Image, peak_e: float, seed: int) -> Image:
 def within_lenslets(bench: SmallBench) -> tuple[Floats, Floats, np.ndarray]:
     """Positions within lenslets, half a pitch, and the (row, column) of the lenslet, of each sample of the pupil."""
     u, v = bench.samples()
-    pitch_m, rows, columns = bench.sensor.lenslet_pitch_m, bench.sensor.lenslet_rows, bench.sensor.lenslet_columns
+    pitch_m, (rows, columns) = bench.sensor.lenslet_pitch_m, bench.sensor.lenslets
     column, row = u / pitch_m + (columns - 1) / 2, v / pitch_m + (rows - 1) / 2
     of_lenslet = np.stack(np.broadcast_arrays(np.rint(row), np.rint(column))).astype(int)
     s, t = 2 * (column - of_lenslet[1]), 2 * (row - of_lenslet[0])
@@ -70,7 +70,7 @@ def test_imperfect_lenslets_are_no_sample(request: pytest.FixtureRequest, name: 
     bench: SmallBench = request.getfixturevalue(name)
     s, t, of_lenslet = within_lenslets(bench)
     generator = np.random.default_rng(0)
-    lenslets = (bench.sensor.lenslet_rows, bench.sensor.lenslet_columns)
+    lenslets = bench.sensor.lenslets
     tilt_u, tilt_v, defocus, coma = generator.normal(0, 0.4, (4, *lenslets))[:, *of_lenslet]  # rad at the border
     focal = generator.normal(0, 0.01, lenslets)[*of_lenslet]
     per_m = bench.sensor.wavenumber_rad_per_m / FIELD.collimator_focal_length_m * bench.sensor.lenslet_pitch_m / 2

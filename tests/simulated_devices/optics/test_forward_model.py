@@ -75,8 +75,8 @@ def direct_irradiance(
         return cosine * x + sine * y, -sine * x + cosine * y
 
     x_px, y_px = in_lattice_px(column, row)
-    for i in range(SENSOR.lenslet_rows):
-        for j in range(SENSOR.lenslet_columns):
+    for i in range(SENSOR.lenslets[0]):
+        for j in range(SENSOR.lenslets[1]):
             u, v = (j - 4) * 500e-6, (i - 3) * 500e-6
             here = (np.abs(x_px / 31.25 - (j - 4)) < 0.5) & (np.abs(y_px / 31.25 - (i - 3)) < 0.5)
             for (x_o, y_o), area in zip(points.position_m, points.area_m2, strict=True):
