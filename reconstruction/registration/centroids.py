@@ -17,7 +17,7 @@ from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import repaired
-from reconstruction.frame.spline import interpolate
+from reconstruction.frame.spline import interpolate, noise_power
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
 from reconstruction.registration.subimages import DARK_CONTRAST, LensletModel, ReferenceSubimages, classify_lenslets
@@ -293,7 +293,9 @@ class Centroids:
         of_residual = np.zeros((len(stamp), 2, 2))
         if reference.noise is None:
             free = 1 / np.sum(weight**2, axis=(1, 2), keepdims=True)  # independent pixels
-            of_residual = self._propagated(residual**2 * free / (free - _FITTED), at_px, after.curvature)
+            left = noise_power(before.position_px - after.position_px)[:, None, None]  # by interpolation
+            taken = (1 + 1 / reference.reference_frames) / (1 + left / reference.reference_frames)
+            of_residual = self._propagated(residual**2 * taken * free / (free - _FITTED), at_px, after.curvature)
         else:
             expected = reference.noise.counts_per_light * mean(stamp) + reference.noise.read_noise_counts**2
             square = square - expected * (1 + gain / reference.reference_frames)

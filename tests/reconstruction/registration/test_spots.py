@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from support.optics import SmallBench
 from support.spots import SpotBench, fractions
 
 from reconstruction.arrays import Floats
@@ -19,6 +20,8 @@ from reconstruction.registration import chosen, prepare_registration
 from reconstruction.registration.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
+from simulated_devices.optics.source import source_points, stars
+from simulated_devices.settings import MASKS, Mask, Source
 
 Image = NDArray[np.floating[Any]]
 SIGMAS_PX = [1.0, 1.2, 1.6, 2.2]
@@ -67,7 +70,7 @@ def test_error_bars_hold_in_photon_noise(sigma_px: float, is_known: bool) -> Non
     for _ in range(4):
         reference = exposed(bench.image(sigma_px=sigma_px, light=photons))
         noise = KnownNoise(CameraNoise(1.0, math.hypot(read_noise, math.sqrt(background))), 1.0)
-        made = subimages(bench, reference, **({"noise": noise} if is_known else {}))
+        made = subimages(bench, reference, noise=noise if is_known else KnownNoise(reference_frames=1.0))
         found = registered(made, exposed(bench.image(moved_px, sigma_px=sigma_px, light=photons)))
         assert found.valid.mean() > 0.99
         error = errors_px(bench, found, moved_px)
@@ -154,3 +157,10 @@ def test_spots_choose_centroids(sigma_px: float, field_half_width_px: float) -> 
     for given in (RegistrationSettings(method="gauss_newton"), RegistrationSettings(method="centroids", star_rows=3)):
         assert chosen(given, subimages(bench, reference)) == (given, "")
     assert chosen(RegistrationSettings(warp="affine"), subimages(bench, reference))[0].method == "gauss_newton"
+
+
+@pytest.mark.parametrize("mask", [mask for mask in MASKS if mask != "image"])
+def test_pictures_choose_gauss_newton(mask: Mask) -> None:
+    source = stars(Source()) if mask == "stars" else source_points(mask, Source(), object_samples=19)
+    settings, why = chosen(RegistrationSettings(), SmallBench(5, 5, source=source).subimages())
+    assert (settings.method, why) == ("gauss_newton", "gauss_newton, because the reference shows pictures, not spots")
