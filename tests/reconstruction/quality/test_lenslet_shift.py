@@ -20,12 +20,15 @@ from reconstruction.settings import RegistrationSettings
 ROWS = COLUMNS = 12
 BENCH = SpotBench(ROWS, COLUMNS, pitch_px=20.0, margin_px=50)
 PITCH_PX = BENCH.lattice.pitch_px
-RADIUS = np.hypot(*(np.indices((ROWS, COLUMNS)) - (ROWS - 1) / 2))  # lenslets
-PUPILS = {
-    "filled": np.ones((ROWS, COLUMNS), np.bool_),
-    "round": RADIUS < 5.2,
-    "annular": (RADIUS < 5.2) & (RADIUS > 1.6),
-}
+RADII = {"filled": (-1.0, 99.0), "round": (-1.0, 5.2), "annular": (1.6, 5.2)}  # inner and outer, lenslets
+
+
+def pupil_at(pupil: str, column: float = 0.0) -> Booleans:
+    """Lit lenslets (row, column) of a pupil centred so many columns beside the lattice."""
+    row, columns = np.indices((ROWS, COLUMNS)) - (ROWS - 1) / 2
+    inner, outer = RADII[pupil]
+    away = np.hypot(columns - column, row)
+    return np.asarray((away > inner) & (away < outer))
 
 
 def exposed(lit: Booleans, moved_px: NDArray[np.floating[Any]] | float = 0.0, seed: int = 0) -> Counts:
@@ -43,19 +46,19 @@ def judged(reference: Counts, frame: Counts) -> Quality:
     return checker(frame, displacement)
 
 
-@pytest.mark.parametrize("pupil", PUPILS)
+@pytest.mark.parametrize("pupil", RADII)
 @pytest.mark.parametrize("lenslets", [(1, 0), (0, -1), (1, -1), (-2, 1)])
 def test_displacement_by_whole_lenslets_is_flagged(pupil: str, lenslets: tuple[int, int]) -> None:
     """Also if the spots are displaced by a part of a lenslet besides."""
-    lit = PUPILS[pupil]
+    lit = pupil_at(pupil)
     x, y = (int(each * PITCH_PX) for each in lenslets)
     quality = judged(exposed(lit), exposed(lit, np.array([x + 2.4, y - 1.7]), seed=1))
     assert f"displaced by ({x:+d}, {y:+d}) px" in quality.reasons[Fault.RANGE]
 
 
-@pytest.mark.parametrize("pupil", PUPILS)
+@pytest.mark.parametrize("pupil", RADII)
 def test_ordinary_frames_are_not_flagged(pupil: str) -> None:
-    lit, column = PUPILS[pupil], np.indices((ROWS, COLUMNS))[1]
+    lit, column = pupil_at(pupil), np.indices((ROWS, COLUMNS))[1]
     at = np.moveaxis(np.indices((ROWS, COLUMNS))[::-1] - (ROWS - 1) / 2, 0, -1)  # (row, column, xy)
     frames = {
         "the same": exposed(lit, seed=1),
@@ -64,6 +67,7 @@ def test_ordinary_frames_are_not_flagged(pupil: str) -> None:
         "half blocked": exposed(lit & (column < 7), np.array([1.0, 2.0]), seed=4),
         "one column blocked": exposed(lit & (column > 1), seed=5),
         "vignetted": exposed(lit & (np.hypot(*np.moveaxis(at - [1.5, 0.0], -1, 0)) < 5.2), seed=6),
+        "the light moves by half a lenslet": exposed(pupil_at(pupil, 0.6), seed=7),
     }
     for name, frame in frames.items():
         assert "of the reference, displaced by" not in judged(exposed(lit), frame).sentence, name
