@@ -188,14 +188,11 @@ def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = N
     """
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
     bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
-    if registration.method == "centroids" or (
-        reconstruction.method == "modal"
-        and reconstruction.response
-        and registration.fits_warps
-        and not registration.rotation
-    ):
+    are_spots = registration.method == "centroids"  # which lie where the mean gradient displaces them
+    knows_response = reconstruction.response and registration.fits_warps and not registration.rotation
+    if reconstruction.method == "modal" and (are_spots or knows_response):
         bias = ""
-    spots = method_sentence(reconstructor) if sample is None and registration.method == "centroids" else ""
+    spots = method_sentence(reconstructor) if are_spots and sample is None else ""
     return "; ".join(filter(None, [spots, _left_out(reconstructor, sample), bias]))
 
 

@@ -88,17 +88,12 @@ class Centroids:
         A single star may lie anywhere in its cell. `ReconstructionError` if the reference shows no stars.
         """
         for name, position in (("star_x", star_x), ("star_y", star_y)):
-            require(
-                {f"{name} must lie in the field, -1 ... 1": position.size > 0 and bool(np.all(np.abs(position) <= 1))}
-            )
+            is_inside = position.size > 0 and bool(np.all(np.abs(position) <= 1))
+            require({f"{name} must lie in the field, -1 ... 1": is_inside})
         gaps_px = np.concatenate([np.diff(star_x), np.diff(star_y)]) * reference.half_width_px
         self._gap_px = float(gaps_px.min(initial=reference.side_px))  # between two spots
-        require(
-            {
-                "stars must lie at least two pixels' and a lenslet's blur apart": self._gap_px
-                >= max(reference.blur_px, 2)
-            }
-        )
+        are_apart = self._gap_px >= max(reference.blur_px, 2)
+        require({"stars must lie at least two pixels' and a lenslet's blur apart": are_apart})
         self._reference = reference
         sampled = SampledModes(star_x, star_y)
         self._modes: FieldModes = LegendreModes(1) if sampled.count == 1 else sampled
@@ -128,11 +123,9 @@ class Centroids:
         reference, before = self._reference, self._spots
         after = self._find(repaired(light, reference.bad))
         misfit, of_residual = self._compared(after)
-        covariance = (
-            of_residual
-            if reference.noise is None
-            else self._of_noise(after) + self._covariance / reference.reference_frames
-        )
+        covariance = of_residual
+        if reference.noise is not None:
+            covariance = self._of_noise(after) + self._covariance / reference.reference_frames
         error_px = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2) / 2, 0))
         found = after.is_peak & self._known & (error_px < _CERTAIN * _WEIGHT * self.sigma_px) & (misfit < _MISFIT)
 
@@ -192,7 +185,7 @@ class Centroids:
         """Find the spots of an image (row, column): the peaks of the smoothed image, by Newton's method."""
         sigma_px = _WEIGHT * self.sigma_px
         start = np.rint(self._brightest(image, sigma_px, is_reference=is_reference).reshape(-1, 2)).astype(np.intp)
-        half = math.ceil(_REACH * sigma_px + _FAR_PX)
+        half = math.ceil(min(_REACH * sigma_px + _FAR_PX, self._gap_px))
         corner, steps = start - half, np.arange(2 * half + 1)
         column, row = np.moveaxis(corner[..., None] + steps, 1, 0)  # (K, n)
         inside = [(at >= 0) & (at < size) for at, size in ((row, image.shape[0]), (column, image.shape[1]))]
@@ -208,7 +201,7 @@ class Centroids:
             step_px = np.where(is_peak[:, None], (inverse @ slope[..., None])[..., 0], uphill).clip(-1, 1)
             position_px = position_px + step_px
             largest_px = np.abs(step_px).max(axis=1)
-            if not np.any(largest_px > _TOLERANCE_PX):
+            if not np.any(is_peak & (largest_px > _TOLERANCE_PX)):
                 break
         is_near = np.abs(position_px - start).max(axis=1) < _FAR_PX
         position_px = np.where(is_near[:, None], position_px, start)
