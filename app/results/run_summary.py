@@ -1,7 +1,7 @@
 """Quality, samples, rotation and noise of several frames, in words; results in a recording's folder."""
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import chain
 
 import numpy as np
@@ -179,7 +179,8 @@ def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Me
         for name, average in ((_DARK, calibration.dark), (_REFERENCE, calibration.reference)):
             if average is not None:
                 write_image(recording.folder / name, average.mean)
-        bench = calibration.bench  # with lattice and pupil
+        found = calibration.bench
+        bench = replace(bench, lattice=found.lattice, sensor=found.sensor)  # devices as they were in force
     reprocessing = Reprocessing(recording)
     frames = counting(reprocessing(), len(recording), progress, "writing the results")
     pieces = results_in_pieces((measured.take(made, reprocessing.mask_sentence(made)), {}) for made in frames)
