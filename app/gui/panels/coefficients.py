@@ -31,7 +31,7 @@ class CoefficientsPanel(Panel):
         self._mapped: int | None = None
         self._scale, self._map_scale = AdaptiveScale(), AdaptiveScale()
         self.basis = Choice(
-            "Modes of the bars; over the lattice (Legendre) or its inscribed circle (Zernike)",
+            "Modes of the bars; over the lattice (Legendre) or the circle of the pupil (Zernike)",
             [(BASES[name].title, name) for name in sorted(BASES, reverse=True)],  # Zernike first
             lambda: self.pin(None),
             key="coefficients/basis",
