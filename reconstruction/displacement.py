@@ -42,7 +42,7 @@ _REASONS = {
     LensletStatus.SATURATED: "saturated",
     LensletStatus.DIVERGED: "no match with the reference",
     LensletStatus.LEFT_CELL: "left its cell",
-    LensletStatus.ABSENT: "no image in the reference",
+    LensletStatus.ABSENT: "outside the pupil, or without an image in the reference",
     LensletStatus.EXCLUDED: "excluded by hand",
 }
 

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from app.errors import InputError
-from app.results.sources import mean_of_frames, modes_of, read_bench_of
+from app.results.sources import mean_of_frames, modes_at_views, read_bench_of
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import FieldModes
@@ -22,7 +22,6 @@ MOST_AVERAGED = 100
 MOST_VIEWS = 9  # along each side
 REMOVABLE = dict(enumerate(zernike_names(28)[1:], 2))  # names of Zernike modes, by Noll's numbers
 TILT = frozenset({2, 3})
-_SAME_RAD = 1e-3  # beyond rounding
 
 
 class Unit(StrEnum):
@@ -68,14 +67,12 @@ class StoredWavefront:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
         if lenslets not in {None, views.shape[2:]}:
             raise InputError("{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *lenslets))
-        unknown = np.isnan(views).all(axis=(0, 1))
-        pupil, modes = modes_of(bench, coefficients)
+        if (found := modes_at_views(bench, coefficients, views)) is None:  # displacements at stars, say
+            raise InputError(f"{path}: its wavefront cannot be evaluated between its views")
+        unknown, (pupil, modes) = np.isnan(views).all(axis=(0, 1)), found
         by_mode = np.tensordot(coefficients.T, pupil.values, axes=1)
         by_mode[:, unknown] = np.nan
-        stored = cls(path.name, bench.field, modes, without_piston(by_mode))
-        if np.nanmax(np.abs(stored.at(bench.field) - views), initial=0) > _SAME_RAD:  # displacements at stars, say
-            raise InputError(f"{path}: its wavefront cannot be evaluated between its views")
-        return stored
+        return cls(path.name, bench.field, modes, without_piston(by_mode))
 
     def at(self, field: Field) -> Floats:
         """Return the wavefronts at the views of a field; NaN outside the stored one.

@@ -38,6 +38,7 @@ _NOT_MEASURED = (
     "holds wavefronts that were not measured, such as the truth of a simulation: give a recording, or a file that svwfs"
     " reconstruct, measure or replay wrote"
 )
+_SAME_RAD = 1e-3  # beyond rounding
 _LARGEST_RAD = 1e6  # of a coefficient: displacements of thousands of pixels
 
 
@@ -113,12 +114,13 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
         return calibration.bench, ModalFit.of(wavefront)
     bench, results = stored_frame(source, frame, "wavefront")
     views = results["wavefront"].transpose("view_row", "view_column", ...).values
-    if "coefficients" in results and has_field_modes(bench, results.sizes["field_mode"]):
+    if "coefficients" in results:
         names = ("coefficients", "coefficients_sigma")
         rad, sigma = (results[name].transpose("pupil_mode", "field_mode").values for name in names)
-        uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
-        known = np.isfinite(views).any(axis=(0, 1))
-        return bench, ModalFit(bench.sensor, *modes_of(bench, rad), rad, uncorrelated, known)
+        if (modes := modes_at_views(bench, rad, views)) is not None:
+            uncorrelated = np.diag(sigma[1:].ravel()).reshape(*sigma[1:].shape, -1)
+            known = np.isfinite(views).any(axis=(0, 1))
+            return bench, ModalFit(bench.sensor, *modes, rad, uncorrelated, known)
     field = bench.field
     if not np.isfinite(views).any(axis=(2, 3)).all():
         raise InputError(f"{source}: the wavefront between its views is unknown: reconstruct with the modal method")
@@ -126,9 +128,20 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     return bench, ModalFit.fitted(bench.sensor, between, views.reshape(-1, *views.shape[2:]))
 
 
-def has_field_modes(bench: Bench, count: int) -> bool:
-    """True if coefficients of that many field modes hold for every field position; others do at stars alone."""
-    return bench.registration.fits_warps or count == 1
+def modes_at_views(bench: Bench, coefficients: Floats, views: Floats) -> tuple[PupilModes, PolynomialModes] | None:
+    """Return the modes of coefficients e_pq if these are the wavefronts of the views, rad.
+
+    None for those of stars, of other bases, and of a wavefront from which modes were removed.
+    """
+    try:
+        pupil, modes = modes_of(bench, coefficients)
+    except ReconstructionError:  # an own basis
+        return None
+    field = bench.field
+    x, y = field.view_x_m / field.half_width_m, field.view_y_m[:, None] / field.half_width_m
+    phase = np.tensordot(np.moveaxis(modes.values(x, y), 0, -1) @ coefficients.T, pupil.values, axes=1)
+    apart_rad = without_piston(np.where(np.isfinite(views), phase, np.nan)) - without_piston(views)
+    return (pupil, modes) if np.nanmax(np.abs(apart_rad), initial=0) < _SAME_RAD else None
 
 
 def modes_of(bench: Bench, coefficients: Floats) -> tuple[PupilModes, PolynomialModes]:
@@ -149,7 +162,7 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
     coefficients nor several views.
     """
     coefficients, views = mean_of_frames(source, frames, progress)
-    if coefficients.size and has_field_modes(bench, coefficients.shape[1]):
+    if coefficients.size and modes_at_views(bench, coefficients, views) is not None:
         return _of_modes(bench, coefficients, views)
     return _between_views(source, bench, views)
 

@@ -137,7 +137,7 @@ def match_partial_cells(
     on_frame = np.all((at_px > -0.5) & (at_px < np.array(frame[::-1]) - 0.5), axis=-1)  # (N, S S)
     model = _moving(whole.typical)
     steepness = np.sum(model[:, 1:3] ** 2, axis=1)
-    flat = cells.light.reshape(len(cells.light), -1)
+    flat = cells.light.reshape(len(cells.light), steps.size // 2)  # there may be none
     found = np.zeros((4, len(flat)))
     unlike = np.full(len(flat), np.inf)
     for n in np.flatnonzero(on_frame @ steepness > ON_FRAME * steepness.sum()):

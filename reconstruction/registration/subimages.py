@@ -115,17 +115,17 @@ class ReferenceSubimages:
                 f" {' x '.join(map(str, reference.shape))} pixels: check [lattice] and the frame's size, or omit"
                 " sensor.lenslet_rows and lenslet_columns, which are then found"
             )
-        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~off_camera])) | off_camera
+        in_pupil = sensor.is_in_pupil.ravel() & ~off_camera
+        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~off_camera])) | ~in_pupil
         is_excluded = np.zeros(self.lenslets, np.bool_)
         is_excluded[tuple(np.array([*excluded], np.intp).reshape(-1, 2).T)] = True
-        self.excluded = is_excluded.ravel() | (~sensor.is_in_pupil.ravel() & ~dark)
-        self.absent = dark & ~self.excluded  # the reference has no image of them
+        self.excluded = is_excluded.ravel()
+        self.absent = dark & ~self.excluded  # outside the pupil, or without an image in the reference
         self.lit = ~dark & ~spoilt & ~self.excluded
         self.at_edge = np.flatnonzero(is_cut & self.lit)  # lenslets at the frame's edge, which cuts their cells
-        if not sensor.is_in_pupil.any():
-            raise UnusableSettings("no centre of a lenslet lies in the pupil: change [pupil]")
-        if self.excluded.all():
-            raise UnusableSettings("all lenslets are excluded by hand: use some of them again")
+        if self.excluded.all() or not in_pupil.any():
+            by_hand = "all lenslets are excluded by hand: use some of them again"
+            raise UnusableSettings(by_hand if in_pupil.any() else "no centre of a lenslet lies in [pupil]: change it")
         if not self.lit.any() or self._smoothness() < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 

@@ -157,8 +157,6 @@ def test_sources_without_the_coefficients_are_refused(
     assert "null: not a file" in refused("field", Path(os.devnull))
     with xr.open_dataset(recording / "results.nc") as results:
         results.assign(wavefront=results["wavefront"] * np.nan).to_netcdf(tmp_path / "lost.nc")
-        results.isel(field_mode=[0]).to_netcdf(tmp_path / "single.nc")  # as a translation yields
-    assert "measured at a single field position" in refused("field", tmp_path / "single.nc", "--field-order", "1")
     assert "no lenslet is known inside the pupil 3.50 mm" in refused("field", tmp_path / "lost.nc")
 
 
