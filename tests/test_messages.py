@@ -4,34 +4,18 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
 from support.paths import DOCS, PRODUCT, ROOT
+from support.source_texts import template
 
 from app.documentation import TROUBLES, anchor_of, entries, entry_of
 
 SHOWN = {"warn", "alarm", "refuse", "emit", "inform", "Quality.of", "Disconnected.of"}  # calls that show their text
 NO_MESSAGES = {"ContractBroken", "SystemExit", "Exit"}  # in the report of `devices --check`, and without text
 INNER = {"app/acquisition/serialization.py", "app/acquisition/streams/ring.py"}  # between processes of one version
-
-
-def template(node: ast.AST, names: Mapping[str, str]) -> str:
-    """Return the text of an expression, with 0 for values that are not known; `names` are variables with a text."""
-    text = "0"
-    match node:
-        case ast.Constant(value=str(constant)):
-            text = constant
-        case ast.Name(id=name):
-            text = names.get(name, "0")
-        case ast.FormattedValue(value=part) | ast.IfExp(body=part):
-            text = template(part, names)
-        case ast.JoinedStr(values=parts):
-            text = "".join(template(part, names) for part in parts)
-        case ast.BinOp(left=left, op=ast.Add(), right=right):
-            text = template(left, names) + template(right, names)
-    return text
 
 
 def said(node: ast.AST, *, is_quality: bool) -> list[ast.expr]:

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from support.paths import DOCS, PRODUCT, ROOT
+from support.source_texts import template
 
 # Metaphors that were terms here: say model or simulation, package, checked, entered or reported, stand-ins, target,
 # saved, next to or compared with, bright, is, has, continues.
@@ -22,7 +23,7 @@ CODE = re.compile(r"^```.*?^```|^    .*?$|`[^`]*`|\]\([^)]*\)|<!--.*?-->", re.DO
 # Help that begins so cannot be read without its label.
 PREPOSITIONS = {
     *("of", "at", "in", "with", "that", "to", "for", "from", "by", "before", "after", "between", "along", "across"),
-    *("per", "as", "if", "such", "omitted", "only", "up", "needed", "live", "modal", "gige", "without", "over"),
+    *("per", "as", "if", "such", "omitted", "only", "up", "needed", "modal", "gige", "without", "over"),
 }
 
 
@@ -33,7 +34,10 @@ def private_words(text: str) -> list[str]:
     return [text[max(found.start() - 40, 0) : found.end() + 30].replace("\n", " ") for found in PRIVATE.finditer(text)]
 
 
-@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))], ids=lambda path: path.stem)
+PAGES = [ROOT / "README.md", *DOCS.rglob("*.md"), *ROOT.glob("app/gui/*.html"), *ROOT.glob("app/bench/presets/*.toml")]
+
+
+@pytest.mark.parametrize("page", sorted(PAGES), ids=lambda path: path.stem)
 def test_documents_use_plain_words(page: Path) -> None:
     assert private_words(CODE.sub(" ", page.read_text("utf-8"))) == []
 
@@ -61,13 +65,19 @@ def test_texts_of_the_program_use_plain_words() -> None:
     assert not found, "\n".join(found)
 
 
-def test_help_of_settings_begins_with_a_noun() -> None:
+def helps(call: ast.Call) -> list[ast.expr]:
+    """Return the help of an option in a call; none if it is made elsewhere."""
+    return [each.value for each in call.keywords if each.arg == "help" and len(template(each.value, {})) > len("0.")]
+
+
+def test_help_of_settings_and_options_begins_with_a_noun_or_verb() -> None:
     found = [
         f"{path.relative_to(ROOT)}:{node.lineno}: {text}"
         for path in PRODUCT
         for node in ast.walk(ast.parse(path.read_text("utf-8")))
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Doc"
-        for text in [ast.literal_eval(node.args[0])]
+        if isinstance(node, ast.Call)
+        for part in [*(node.args if getattr(node.func, "id", "") == "Doc" else ()), *helps(node)]
+        for text in [template(part, {})]
         if not text[0].isupper() or re.split(r"\W", text)[0].lower() in PREPOSITIONS
     ]
     assert not found, "\n".join(found)

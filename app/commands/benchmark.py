@@ -34,7 +34,7 @@ _LEAST_MS = 0.02  # of processor time in a frame, for which a thread is listed
 def benchmark(
     *,
     json: Annotated[Path | None, typer.Option("--json", metavar="FILE", help="JSON file for all numbers.")] = None,
-    check: Annotated[bool, typer.Option("--check", help="With --live: fail if a limit is missed.")] = False,
+    check: Annotated[bool, typer.Option("--check", help="Fail if a limit of --live is missed.")] = False,
     live: Annotated[
         float | None,
         typer.Option(
@@ -43,18 +43,19 @@ def benchmark(
         ),
     ] = None,
     record_in: Annotated[Path | None, options.folder_option("With --live: folder of the temporary recording.")] = None,
-    no_record: Annotated[bool, typer.Option("--no-record", help="With --live: do not record.")] = False,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Do not record during --live.")] = False,
     panels: Annotated[
-        bool, typer.Option("--panels", help="With --live: open coefficients, history and histogram, too.")
+        bool, typer.Option("--panels", help="Open coefficients, history and histogram, too, in --live.")
     ] = False,
     rendered: Annotated[
-        bool, typer.Option("--rendered", help="With --live: frames from memory, which cost a copy as a real camera's.")
+        bool,
+        typer.Option("--rendered", help="Frames of --live from memory, at the cost of a copy as from a real camera."),
     ] = False,
     camera_rate: Annotated[
         str | None,
         typer.Option(
             metavar="RATE",
-            help="With --live: frames/s [default: 70]; find: the highest of which 99 % are reconstructed, none lost.",
+            help="Frames/s of --live [default: 70]; find: the highest of which 99 % are reconstructed, none lost.",
         ),
     ] = None,
     bench: Annotated[str | None, options.bench_option(f"With --live: simulated bench [default: {DEFAULT}].")] = None,

@@ -25,7 +25,7 @@ def devices(
     ] = None,
     trust_library: options.Trust = False,
     serial_numbers: Annotated[
-        bool, typer.Option("--serial-numbers", help="With --check: do not hide serial numbers in the report.")
+        bool, typer.Option("--serial-numbers", help="Show serial numbers in the report of --check.")
     ] = False,
     setting: options.Set = None,
 ) -> None:

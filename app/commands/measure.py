@@ -40,7 +40,7 @@ def measure(
     setting: options.Set = None,
     attach: options.Attach = False,
     take_control: Annotated[
-        bool, typer.Option("--take-control", help="With --attach: take control from the program that has it.")
+        bool, typer.Option("--take-control", help="Take control from the program that has it (--attach).")
     ] = False,
     name: options.Instrument = NAME,
 ) -> None:

@@ -54,7 +54,7 @@ Set = Annotated[
 Frame = Annotated[int, typer.Option(min=0, help="Frame of the recording or results, counted from 0.")]
 Frames = Annotated[
     str | None,
-    typer.Option(metavar="FIRST:END", help="Only these frames, counted from 0; END is excluded; -10: is the last 10."),
+    typer.Option(metavar="FIRST:END", help="Frames to use, counted from 0; END is excluded; -10: is the last 10."),
 ]
 RecordingFolder = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
 RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]

@@ -18,7 +18,7 @@ def paper(
     table: Annotated[
         Literal["table1", "table2", "sources"],
         typer.Argument(
-            help="table1: every method on the simulated bench, against the truth; table2: every method on noisy frames "
+            help="Table1: every method on simulated frames, against the truth; table2: every method on noisy frames "
             "of the experiment, against the stars; sources: the supplement's study of other source shapes."
         ),
     ],

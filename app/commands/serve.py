@@ -24,7 +24,7 @@ def serve(
     bench: options.Bench,
     name: Annotated[str, typer.Option(metavar="NAME", help="Name by which clients find it.")] = NAME,
     idle: Annotated[
-        bool, typer.Option("--idle", help="Only open the devices: dark, reference and camera wait for a client.")
+        bool, typer.Option("--idle", help="Open the devices only: dark, reference and camera wait for a client.")
     ] = False,
     trust_library: options.Trust = False,
     setting: options.Set = None,
