@@ -170,7 +170,7 @@ def fit_lattice(light: Image, start: Lattice, brightest: int) -> Fit | None:
             return None
     coefficients = spline_coefficients(light)
     is_even = True  # the pitch is the same in all directions
-    for fine_round in range(2 * _FINE_ROUNDS):
+    for fine_round in range(3 * _FINE_ROUNDS):
         cells = cut(coefficients, lattice)
         if not _fills_both_axes(cells):
             return None

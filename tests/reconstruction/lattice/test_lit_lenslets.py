@@ -80,6 +80,19 @@ def test_pitches_that_differ_along_x_and_y_are_found(angle_deg: float) -> None:
     assert found.residual_px < 0.1
 
 
+@pytest.mark.parametrize("stretched_deg", [0, 40, 90])
+def test_pitch_that_depends_on_any_direction_is_found(stretched_deg: float) -> None:
+    """A turned hexagonal array whose pitch is 5 % larger along one direction of the camera than across it."""
+    middle, along = (SIDE_PX - 1) / 2, np.exp(1j * np.radians(stretched_deg))
+    place = (hexagonal_centers_px(angle_deg=30) - middle) @ [1, 1j] / along
+    place = (1.025 * place.real + 0.975j * place.imag) * along
+    centers_px = np.stack([place.real, place.imag], axis=-1) + middle
+    found = survey(spots(centers_px), sensor("hexagonal"))
+    assert np.linalg.eigvalsh(found.lattice.pitch_matrix_px) == pytest.approx((29.25, 30.75), abs=0.01)
+    assert found.illuminated.sum() == len(centers_px)
+    assert near(lit_px(found), centers_px).max() < 0.05
+
+
 def test_equal_pitches_stay_one() -> None:
     assert survey(drawn(), SENSOR).lattice.stretch is None
 
