@@ -48,6 +48,14 @@ def test_given_rows_and_columns_hold_as_many_lit_lenslets_as_they_can(rows: int,
     assert near(lit_px(found), centers_px).max() < 0.1
 
 
+def test_block_holds_every_lit_lenslet_if_it_can() -> None:
+    """Also a single one in its row, although the next block of as many rows lies nearer to the frame's middle."""
+    brightness = np.zeros((15, 15))
+    brightness[1:11, 1:12] = brightness[0, 6] = 1
+    found = survey(drawn(brightness=brightness), sensor_with(12, 13, 31.25))
+    assert found.illuminated.sum() == brightness.sum()
+
+
 @pytest.mark.parametrize("angle_deg", [0, 17, 45])
 def test_square_array_that_fills_the_frame_is_found_up_to_its_edge(angle_deg: float) -> None:
     centers_px = square_centers_px(angle_deg=angle_deg)

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 from support.optics import SmallBench
+from support.spot_frames import spots
 
 from reconstruction.arrays import Counts
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import KnownCamera, clipped_fraction
 from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import survey
-from reconstruction.quality.reference_quality import lattice_error_px, reference_quality
+from reconstruction.quality.reference_quality import lattice_error_px, lit_elsewhere, reference_quality
 from reconstruction.quality.verdict import Fault, Quality, sequence_quality
 
 BENCH = SmallBench()
@@ -165,3 +166,14 @@ def test_faults_join_with_one_reason_each() -> None:
     assert set(both.sentence.split("; ")) == {"dark", "stale"}
     assert Quality() | one is not None
     assert not (Quality() | Quality()).faults
+
+
+def test_lenslets_that_the_frame_cuts_do_not_lie_elsewhere() -> None:
+    """One column of spots lies off the frame, and at the other side one more lies on it in part."""
+    along_px = 15.0 + 30 * np.arange(-1, 6)
+    centers_px = np.stack(np.meshgrid(along_px, along_px), axis=-1).reshape(-1, 2)
+    light = spots(centers_px, shape=(150, 140)).astype(np.float64) - 100
+    here = Lattice(center_x_px=45.0, center_y_px=75.0, pitch_px=30.0)
+    sensor = replace(BENCH.sensor, lenslet_rows=5, lenslet_columns=5)
+    assert lit_elsewhere(light, here, replace(here, center_x_px=75.0), sensor) == 0
+    assert lit_elsewhere(light, replace(here, center_x_px=15.0), here, sensor) == 5
