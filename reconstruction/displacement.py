@@ -146,12 +146,16 @@ class Displacement:
 
     @property
     def summary(self) -> list[str]:
-        """Valid lenslets, lost ones by reason, and the used share of the dynamic range, in words."""
+        """Valid lenslets, lost and absent ones, and the used share of the dynamic range, in words."""
         valid = f"{np.count_nonzero(self.valid)} of {np.count_nonzero(self.present)} lenslets valid"
-        lost = [status for status in LensletStatus if status.reason and status is not LensletStatus.ABSENT]
-        counts = [(np.count_nonzero(self.outcome == status), status.reason) for status in lost]
+        counts = [(np.count_nonzero(self.outcome == each), each) for each in LensletStatus if each.reason]
+        words = [
+            f"{count} {'absent' if each is LensletStatus.ABSENT else 'lost'}: {each.reason}"
+            for count, each in counts
+            if count
+        ]
         used = f"{100 * np.nanmax(self.range_used, initial=0.0):.0f} % of the dynamic range used"
-        return [valid, *(f"{count} lost: {why}" for count, why in counts if count), used]
+        return [valid, *words, used]
 
     @property
     def mean(self) -> Floats:

@@ -187,7 +187,7 @@ def summary(calibrated: CalibratedBench) -> list[str]:
         f"rotation     {lattice.rotation_rad * 1e3:+z.3f} mrad ({math.degrees(lattice.rotation_rad):+z.3f} degrees)",
         f"centre       x {lattice.center_x_px:.3f} px, y {lattice.center_y_px:.3f} px",
         f"lenslets     {seen.rows} x {seen.columns} bright on the frame; {rows} x {columns} are used",
-        f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated_fraction:.1f} %)",
+        f"illuminated  {seen.illuminated.sum()} of {rows * columns} ({100 * seen.illuminated.mean():.1f} %)",
         f"quality      subimages {seen.residual_px:.3f} px RMS off the lattice, {100 * seen.likeness:.0f} % similar",
         f"scale        {scale}",
     ]

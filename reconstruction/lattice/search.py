@@ -58,11 +58,6 @@ class Survey:
         """RMS distance of the lit lenslets' light from the lattice."""
         return float(np.sqrt(np.nanmean(np.sum(self.displacement_px**2, axis=-1))))
 
-    @property
-    def illuminated_fraction(self) -> float:
-        """Share of the sensor's lenslets that are lit."""
-        return float(np.mean(self.illuminated))
-
 
 def survey(
     reference: Counts,

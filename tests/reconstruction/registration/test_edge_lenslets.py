@@ -102,6 +102,7 @@ def test_absent_lenslets_are_not_counted_as_lost() -> None:
     present = np.count_nonzero(found.present)
     assert present < COUNT**2
     assert found.summary[0] == f"{present} of {present} lenslets valid"
+    assert found.summary[1].startswith(f"{COUNT**2 - present} absent: ")
     assert not any("lost" in sentence for sentence in found.summary)
 
 
