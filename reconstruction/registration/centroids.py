@@ -33,7 +33,7 @@ _PER_BLUR, _PIXEL = 0.45, 1 / 12  # sigma of a diffraction-limited spot over its
 _PASSES = 4  # that measure the spots
 _LEAST_SIGMA_PX, _MOST_SIGMA = 0.3, 1 / 6  # of spots; the latter over the distance between two
 _ITERATIONS, _TOLERANCE_PX, _LAST_PX = 15, 1e-4, 0.01
-_FAR_PX = 2.0  # from the brightest pixel of the smoothed image, beyond which a spot is another one
+_FAR_PX = 3.0  # from the brightest pixel of the smoothed image, beyond which a spot is another one
 _CERTAIN = 0.2  # standard error over the weight's sigma; larger ones are those of peaks of the noise
 _MISFIT = 0.7  # residual over contrast above which two spots differ, noise aside
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
@@ -98,9 +98,20 @@ class Centroids:
         sampled = SampledModes(star_x, star_y)
         self._modes: FieldModes = LegendreModes(1) if sampled.count == 1 else sampled
         self._nominal_px = np.stack(sampled.nodes, axis=-1) * reference.half_width_px  # lattice frame, (S, xy)
+        # Borders, 1/px, (border, xy): a single spot may use all of its cell, where no other lenslet is nearer.
+        width, height = reference.cell_px
+        beside = [(width, 0.0), (0.0, height)]  # neighbours
+        if reference.sensor.arrangement == "hexagonal":
+            beside = [(width, 0.0), (width / 2, height), (-width / 2, height)]
+        to_px = np.array(beside)
+        halfway = 2 * to_px / np.sum(to_px**2, axis=1, keepdims=True)
+        self._borders = halfway if sampled.count == 1 else np.eye(2) / reference.reach_px
         # Whole-pixel shifts (C, xy) that leave all stars inside the cell, and where these lie then, (L, C, S).
-        reach_px = max(reference.reach_px - np.abs(self._nominal_px).max(), 0.0)
-        self._shifts_px = reference.offset_px[np.abs(reference.offset_px).max(axis=1) <= reach_px]
+        along = np.arange(-int(width), int(width) + 1.0)
+        shifts_px = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+        left = 1 - np.abs(self._nominal_px @ self._borders.T).max(axis=0) - np.hypot(*self._borders.T) / 2
+        inside = np.all(np.abs(shifts_px @ self._borders.T) <= left, axis=1)
+        self._shifts_px = shifts_px[inside | ~shifts_px.any(axis=1)]
         self._places = self._index(self._on_camera(self._shifts_px[:, None] + self._nominal_px))
 
         self.sigma_px = math.hypot(_PER_BLUR * reference.blur_px, math.sqrt(_PIXEL))
@@ -110,7 +121,8 @@ class Centroids:
         self._spots = self._find(reference.image, is_reference=True)
         lit = np.repeat(reference.lit, len(self._nominal_px))
         self._faintest = DARK_CONTRAST * median(self._spots.brightness[lit])
-        self._known = self._spots.is_peak & (self._spots.brightness > self._faintest) & ~self._has_left(self._spots)
+        self._known = self._spots.is_peak & (self._spots.brightness > self._faintest)
+        self._known &= self._range_used(self._spots) <= 1
         if len(self._nominal_px) > 1:
             off_px = self._spots.position_px - self._on_camera(self._nominal_px).reshape(-1, 2)
             self._known &= np.abs(off_px).max(axis=1) < _EXPECTED * self._gap_px
@@ -142,9 +154,9 @@ class Centroids:
             contrast=self._by_lenslet(after.brightness).min(axis=1),
             faults={
                 LensletStatus.DIVERGED: np.any(~self._by_lenslet(found), axis=1),
-                LensletStatus.LEFT_CELL: np.any(self._by_lenslet(found & self._has_left(after)), axis=1),
                 LensletStatus.SATURATED: reference.touched(saturated),
             },
+            range_used=np.max(self._by_lenslet(self._range_used(after) * found), axis=1),
         )
 
     def likeness(self) -> float:
@@ -228,7 +240,9 @@ class Centroids:
         stamp = spots.stamp[known]
         if not len(stamp):
             return self.sigma_px
-        border = np.concatenate([stamp[:, 0], stamp[:, -1], stamp[:, :, 0], stamp[:, :, -1]], axis=1)
+        half = stamp.shape[-1] // 2
+        away_px = np.abs(np.indices(stamp.shape[1:]) - half).max(axis=0)
+        border = stamp[:, away_px == min(half, round(self._gap_px / 2))]  # halfway to the next spot
         stamp = stamp - np.median(border, axis=1)[:, None, None]
         moments = _moments(stamp, (spots.position_px - spots.corner)[known], variance)
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -239,11 +253,11 @@ class Centroids:
         found = np.where((weighted > 0) & (weighted < variance), found, np.inf)
         return float(np.clip(math.sqrt(median(found)), _LEAST_SIGMA_PX, _MOST_SIGMA * self._gap_px))
 
-    def _has_left(self, spots: _Spots) -> Booleans:
-        """True for spots that reach beyond their cell, (K,)."""
+    def _range_used(self, spots: _Spots) -> Floats:
+        """Distance of spots from their lenslet over the farthest in its cell, (K,)."""
         center_px = np.repeat(self._reference.center_px, len(self._nominal_px), axis=0)
         away_px = (spots.position_px - center_px) @ self._reference.turn.T
-        return np.asarray(np.abs(away_px).max(axis=1) > self._reference.reach_px)
+        return np.asarray(np.abs(away_px @ self._borders.T).max(axis=1))
 
     def _of_noise(self, spots: _Spots) -> Floats:
         """Covariance of the positions of spots by the camera's noise in one frame, px^2, (K, xy, xy)."""

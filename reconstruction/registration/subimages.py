@@ -254,17 +254,20 @@ def classify_lenslets(
     residual_rms: Floats,
     contrast: NDArray[np.floating[Any]],
     faults: dict[LensletStatus, Booleans],
+    range_used: Floats | None = None,
 ) -> Displacement:
     """Classify L lenslets and arrange the results on the lattice, NaN where lost.
 
     coefficients c_q, px, (L, xy, Q); covariance (L, Q, xy, Q, xy), px^2; residual_rms (L,) over the contrast of the
     reference's best subimage; contrast (L,) of the frame's subimages. `faults` are the losses (L,) found by the method;
-    of several the last counts, and darkness above all.
+    of several the last counts, and darkness above all. `range_used` (L,) as in `Displacement`, if it is not that of a
+    field which keeps to its cell.
     """
     lost = np.zeros(len(coefficients), np.bool_)
     for fault in faults.values():
         lost |= fault
-    range_used = reference.range_used(np.where(lost[:, None, None], 0, coefficients), modes)
+    if range_used is None:
+        range_used = reference.range_used(np.where(lost[:, None, None], 0, coefficients), modes)
     outcome = np.full(len(coefficients), LensletStatus.CONVERGED, np.int8)
     outcome[range_used > 1] = LensletStatus.LEFT_CELL
     if reference.at_edge.size:

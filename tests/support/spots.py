@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special
 
 from reconstruction.arrays import Booleans, Floats
-from reconstruction.geometry import Field, Lattice, Sensor
+from reconstruction.geometry import Arrangement, Field, Lattice, Sensor
 
 
 def spots(shape: tuple[int, int], center_px: Floats, *, sigma_px: float, light: Floats | float = 1.0) -> Floats:
@@ -33,6 +33,7 @@ class SpotBench:
         rotation_rad: float = 0.0,
         margin_px: int = 10,
         field_half_width_px: float = 1.0,
+        arrangement: Arrangement = "square",
         shape: tuple[int, int] | None = None,
     ) -> None:
         self.sensor = Sensor(
@@ -42,6 +43,7 @@ class SpotBench:
             lenslet_focal_length_m=10e-3,
             wavelength_m=500e-9,
             pixel_pitch_m=10e-6,
+            arrangement=arrangement,
         )
         self.field = Field(
             collimator_focal_length_m=0.1, half_width_m=field_half_width_px * 1e-4, view_rows=1, view_columns=1
@@ -52,6 +54,7 @@ class SpotBench:
             center_y_px=(self.shape[0] - 1) / 2 - 0.22,
             pitch_px=pitch_px,
             rotation_rad=rotation_rad,
+            arrangement=arrangement,
         )
         self.center_px = self.lattice.lenslet_centers_px(rows, columns)  # (row, column, xy)
 

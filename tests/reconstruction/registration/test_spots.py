@@ -16,6 +16,7 @@ from reconstruction.arrays import Floats
 from reconstruction.displacement import Displacement, LensletStatus
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, KnownNoise
+from reconstruction.geometry import Arrangement
 from reconstruction.registration import chosen, prepare_registration
 from reconstruction.registration.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
@@ -115,13 +116,27 @@ def test_dark_faint_and_far_spots_are_lost() -> None:
     light = np.full((12, 12), 1e4)
     reference = subimages(bench, bench.image(sigma_px=1.2, light=light), noise=noise)
     moved_px = np.zeros((12, 12, 2))
-    light[2, 3], light[4, 5], moved_px[7, 8] = 0.0, 30.0, (11.3, 0.0)
+    light[2, 3], light[4, 5], moved_px[7, 11] = 0.0, 30.0, (13.5, 0.0)
     frame = bench.image(moved_px, sigma_px=1.2, light=light)
     found = registered(reference, frame + rng.normal(0, 5, frame.shape))
     expected = np.full((12, 12), LensletStatus.CONVERGED)
     expected[2, 3] = expected[4, 5] = LensletStatus.DARK
-    expected[7, 8] = LensletStatus.LEFT_CELL
+    expected[7, 11] = LensletStatus.LEFT_CELL
     np.testing.assert_array_equal(found.outcome, expected)
+
+
+@pytest.mark.parametrize(
+    ("arrangement", "moved_px"),
+    [("square", (11.5, 11.5)), ("square", (-11.5, 0.0)), ("hexagonal", (0.0, 12.5)), ("hexagonal", (11.5, -2.0))],
+)
+def test_spots_are_found_in_all_of_their_cell(arrangement: Arrangement, moved_px: tuple[float, float]) -> None:
+    """Cells are 24 px wide; the corners of a hexagon lie 13.9 px from its middle."""
+    bench = SpotBench(arrangement=arrangement, margin_px=30)
+    reference = subimages(bench, bench.image(sigma_px=1.2, light=1e4))
+    found = registered(reference, bench.image(np.array(moved_px), sigma_px=1.2, light=1e4))
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, np.broadcast_to(moved_px, (12, 12, 2)))).max() < BIAS_PX
+    assert 0.85 < found.range_used.max() <= 1
 
 
 def test_noise_alone_shows_no_spots() -> None:
