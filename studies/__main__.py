@@ -13,6 +13,7 @@ from reconstruction.errors import ReconstructionError
 from studies.calibration import calibration
 from studies.contestants import contestants
 from studies.deconvolution import deconvolution
+from studies.depth import depth
 from studies.exposure import exposure
 from studies.imperfect_bench import imperfect_bench
 from studies.layers import corrector, distances
@@ -27,7 +28,8 @@ STUDIES: dict[str, Study] = {
     study.__name__: study
     for study in (
         *(ensembles, roughness, size, experiment, photons, em_gain, source, lattice, focal_length, dead),
-        *(imperfect_bench, mask, masks, calibration, exposure, distances, corrector, deconvolution, contestants),
+        *(imperfect_bench, mask, masks, calibration, exposure, distances, depth, corrector),
+        *(deconvolution, contestants),,
     )
 }
 

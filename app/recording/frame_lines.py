@@ -27,11 +27,13 @@ class SampleLine:
 
     ratios: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...] | None
+    rivals: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         layers, rows = len(self.ratios), self.covariance or ()
         is_square = self.covariance is None or [len(row) for row in rows] == [layers] * layers
-        if not is_square or not all(map(math.isfinite, (*self.ratios, *(value for row in rows for value in row)))):
+        numbers = *self.ratios, *self.rivals, *(value for row in rows for value in row)
+        if not is_square or not all(map(math.isfinite, numbers)):
             raise ValueError(f"layers at the ratios {', '.join(map(str, self.ratios))} are impossible")
 
 
@@ -92,11 +94,12 @@ def _reader() -> TypeAdapter[FrameLine]:
 def sample_line(sample: AssumedSample) -> SampleLine:
     """Form of a sample in the line of a frame, from which `assumed_sample` restores it exactly."""
     covariance = None if sample.covariance is None else tuple(map(tuple, sample.covariance.tolist()))
-    return SampleLine(sample.ratios, covariance)
+    return SampleLine(sample.ratios, covariance, sample.rivals)
 
 
 def assumed_sample(line: SampleLine | None) -> AssumedSample:
     """Sample of a line; any wavefront before one was found."""
     if line is None or not line.ratios:
         return FREE
-    return AssumedSample(line.ratios, None if line.covariance is None else np.array(line.covariance))
+    covariance = None if line.covariance is None else np.array(line.covariance)
+    return AssumedSample(line.ratios, covariance, line.rivals)

@@ -45,6 +45,7 @@ class AssumedSample:
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known
+    rivals: tuple[float, ...] = ()  # ratios of other layers that explain the frame as well; empty if there are none
     allowed: float = 1.0  # `Reconstructor.contradiction` by a frame of this sample, at most
 
     @property
@@ -60,7 +61,8 @@ def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bo
     """One layer where it explains the displacements; else what has the highest evidence.
 
     That is any wavefront, too, if the sample `may_be_free`. A slab represents two layers, unless the source hides
-    displacements (`is_blind`): there its wavefronts are too free.
+    displacements (`is_blind`): there its wavefronts are too free, and it is the two layers' rival if their evidence is
+    not decisive, where systematic errors that are alike in some lenslets count as one.
 
     Evidence takes all errors for independent. So systematic ones, far below 1 % of the displacements, make it prefer a
     second layer at the end of the search, or a free wavefront, which is far off if the source hides displacements
@@ -69,17 +71,23 @@ def most_probable(search: LayerSearch, *, may_be_free: bool = True, is_blind: bo
     one, any_wavefront = search.one, search.any_wavefront
     if is_within(one) and explains(one.quality, any_wavefront, is_blind=is_blind):
         return _assumed(one)
-    deep = search.two if is_blind or search.slab is None or not is_within(search.slab) else search.slab
+    slab = search.slab if search.slab is not None and is_within(search.slab) else None
+    deep = search.two if is_blind or slab is None else slab
     found = [fit for fit in (one, deep) if fit is not None and is_within(fit)]
     if may_be_free and not found:
         return FREE
     best = max(found or [one], key=lambda fit: fit.quality.log_evidence)
     is_less_probable = best.quality.log_evidence < any_wavefront.log_evidence + _DECISIVE
-    return FREE if may_be_free and is_less_probable else _assumed(best)
+    if may_be_free and is_less_probable:
+        return FREE
+    least = best.quality.log_evidence - _DECISIVE * ALIKE_IN_LAYERS
+    is_open = best is search.two and slab is not None and slab.quality.log_evidence > least
+    return _assumed(best, slab if is_open else None)
 
 
-def _assumed(fit: LayerFit) -> AssumedSample:
-    return AssumedSample(tuple(layer.ratio for layer in fit.layers), fit.ratio_covariance)
+def _assumed(fit: LayerFit, rival: LayerFit | None = None) -> AssumedSample:
+    rivals = () if rival is None else tuple(layer.ratio for layer in rival.layers)
+    return AssumedSample(tuple(layer.ratio for layer in fit.layers), fit.ratio_covariance, rivals)
 
 
 class _Design(NamedTuple):
@@ -128,7 +136,7 @@ class LayeredWavefronts:
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
         self.solver, self._modes, self._parameters = solver, modes, parameters
-        self._design = Remembered[_Design](6)  # of 7 MB; two layers need five for their error bars
+        self._design = Remembered[_Design](6)  # of 7 MB; two layers need five for their error bars, and one for a rival
         self._equations = Remembered[_Equations](12)
         self._slopes = Remembered[_Slopes](12)  # of 1 MB
         self._known = Remembered[KnownModes](4)
@@ -152,9 +160,9 @@ class LayeredWavefronts:
         def deviations() -> Deviations:
             has_depth = len(sample.ratios) > 1 and not is_corrected
             deviation = np.sqrt(errors.variance(estimate, singular, ALIKE_IN_LAYERS, has_depth=has_depth))
-            of_distances = self._of_distances(sample, frame)
-            others = np.zeros((shape[0] - 1, shape[1], of_distances.shape[1]), np.float32)
-            others[columns] = of_distances
+            of_sample = self._of_sample(sample, frame, fit)
+            others = np.zeros((shape[0] - 1, shape[1], of_sample.shape[1]), np.float32)
+            others[columns] = of_sample
             return Deviations(spread, deviation.astype(np.float32), others)
 
         def fitted() -> Floats:
@@ -265,14 +273,14 @@ class LayeredWavefronts:
         polynomials = low.reshape(len(columns), -1)
         return _Slopes(columns.astype(np.float32, order="C"), polynomials, along @ rows @ vectors, along @ columns.T)
 
-    def _of_distances(self, sample: AssumedSample, frame: Whitened) -> Floats:
-        """Independent deviations of the wavefront's coefficients that uncertain distances cause, (column, n)."""
-        if sample.covariance is None:
-            return np.zeros((np.count_nonzero(self._modes.columns), 0))
-        values, vectors = np.linalg.eigh(sample.covariance)
-        ratios, step, deviations = np.array(sample.ratios), _STEP * (1 + np.abs(sample.ratios).max()), []
-        for value, vector in zip(values, vectors.T, strict=True):
-            if value > _ALONE * values[-1]:  # a slab's ends determine its middle
-                near, far = (self._fit(tuple((ratios + side * step * vector).tolist()), frame) for side in (-1, 1))
-                deviations.append((far.wavefront - near.wavefront) * (math.sqrt(value) / (2 * step)))
-        return np.transpose(deviations)
+    def _of_sample(self, sample: AssumedSample, frame: Whitened, fit: _Fit) -> Floats:
+        """Independent deviations of the coefficients of a fit by uncertain distances and by rivals, (column, n)."""
+        deviations = [self._fit(sample.rivals, frame).wavefront - fit.wavefront] if sample.rivals else []
+        if sample.covariance is not None:
+            values, vectors = np.linalg.eigh(sample.covariance)
+            ratios, step = np.array(sample.ratios), _STEP * (1 + np.abs(sample.ratios).max())
+            for value, vector in zip(values, vectors.T, strict=True):
+                if value > _ALONE * values[-1]:  # a slab's ends determine its middle
+                    near, far = (self._fit(tuple((ratios + side * step * vector).tolist()), frame) for side in (-1, 1))
+                    deviations.append((far.wavefront - near.wavefront) * (math.sqrt(value) / (2 * step)))
+        return np.reshape(deviations, (len(deviations), fit.wavefront.size)).T
