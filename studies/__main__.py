@@ -29,7 +29,7 @@ STUDIES: dict[str, Study] = {
     for study in (
         *(ensembles, roughness, size, experiment, photons, em_gain, source, lattice, focal_length, dead),
         *(imperfect_bench, mask, masks, calibration, exposure, distances, depth, corrector),
-        *(deconvolution, contestants),,
+        *(deconvolution, contestants),
     )
 }
 

@@ -1,7 +1,7 @@
 """Samples with depth, in noise: error, error bar and coverage behind one layer, two, and six."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import product
 
@@ -29,7 +29,7 @@ _MASKS: tuple[Mask, ...] = "checkerboard", "square"
 _LENGTHS_M = 2e-3, 1.25e-3  # correlation length of smooth and rough layers
 _LIGHT_E = math.inf, 1e4, 3e3, 1e3  # electrons in the reference's brightest pixel; without noise first
 _ROUNDS = 0, 3  # of refinement
-_REFERENCE_FRAMES = 20
+_REFERENCE_FRAMES, _REFERENCE = 20, 1 << 16  # of the reference, and the first index of their noise
 _STREAM = 1 << 20  # of the random numbers between one screen's layers
 
 
@@ -70,24 +70,33 @@ def layered_images(bench: Bench, distances_m: Sequence[float]) -> tuple[Image, I
 def measured(
     bench: Bench, reference: Image, frame: Image, truth: Floats, light_e: Sequence[float] = _LIGHT_E
 ) -> Iterator[Row]:
-    """Yield error, error bar and coverage of a frame against a reference averaged over 20, in several lights."""
-    em_camera, seed = camera(bench), bench.simulation.seed
+    """Yield error, error bar and coverage of a frame in several lights, with the sample found in it."""
     for peak_e in light_e:
-        is_noisy = math.isfinite(peak_e)
-        scale = np.float32((peak_e if is_noisy else 1.0) / reference.max())
-        counts, light = reference * scale, frame * scale
-        if is_noisy:
-            draws = [em_camera.exposed(counts, seed, 1 + draw) for draw in range(_REFERENCE_FRAMES)]
-            counts, light = np.mean(draws, axis=0), em_camera.exposed(light, seed, 0)
-        calibration = calibration_of(bench, counts)
-        if is_noisy:
-            calibration = replace(calibration, known=KnownNoise(em_camera.noise, _REFERENCE_FRAMES))
-        estimator = Estimator(calibration)
-        displacement = estimator.reconstructor.register(light)
+        estimator, exposed = calibrated(bench, reference, peak_e)
+        displacement = estimator.reconstructor.register(exposed(frame, 0))
         sample = estimator.reconstructor.find_sample(displacement)
         for rounds in _ROUNDS:
             wavefront = estimator.solve(displacement, sample=sample, rounds=rounds)[0]
             yield {"light_e": peak_e, "rounds": rounds, **next_to(truth, wavefront)}
+
+
+def calibrated(bench: Bench, reference: Image, peak_e: float) -> tuple[Estimator, Callable[[Image, int], Image]]:
+    """Prepare for a reference of 20 exposures, with `peak_e` electrons in its brightest pixel; inf: without noise.
+
+    Also returns the exposure of an image, m^2, with the noise of some index.
+    """
+    em_camera, seed = camera(bench), bench.simulation.seed
+    scale = np.float32((peak_e if math.isfinite(peak_e) else 1.0) / reference.max())
+
+    def exposed(image: Image, index: int) -> Image:
+        electrons = image * scale
+        return em_camera.exposed(electrons, seed, index) if math.isfinite(peak_e) else em_camera.counts(electrons)
+
+    if not math.isfinite(peak_e):
+        return Estimator(calibration_of(bench, exposed(reference, 0))), exposed
+    mean = np.mean([exposed(reference, _REFERENCE + draw) for draw in range(_REFERENCE_FRAMES)], axis=0)
+    known = KnownNoise(em_camera.noise, _REFERENCE_FRAMES)
+    return Estimator(replace(calibration_of(bench, mean), known=known)), exposed
 
 
 def next_to(truth: Floats, wavefront: Wavefront) -> dict[str, float]:

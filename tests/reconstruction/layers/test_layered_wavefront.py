@@ -248,6 +248,37 @@ def test_systematic_errors_do_not_decide(
     assert most_probable(search, is_blind=is_blind).ratios == expected
 
 
+@pytest.mark.parametrize(
+    ("evidence_of_slab", "far", "is_blind", "expected"),
+    [
+        (-110, -1.2, True, ((-1.1, -0.3), (-1.2, -0.7, -0.2))),
+        (-90, -1.2, True, ((-1.1, -0.3), (-1.2, -0.7, -0.2))),
+        (-131, -1.2, True, ((-1.1, -0.3), ())),  # two layers are decisively more probable
+        (-90, -30.0, True, ((-1.1, -0.3), ())),  # beyond the search
+        (-110, -1.2, False, ((-1.2, -0.7, -0.2), ())),
+    ],
+)
+def test_slab_is_a_rival_where_the_source_is_blind(
+    evidence_of_slab: float, far: float, expected: tuple[tuple[float, ...], ...], *, is_blind: bool
+) -> None:
+    none, slab = np.zeros(0), fit_of(FitQuality(evidence_of_slab, 1.0, 0.02), far, -0.7, -0.2)
+    one, two = fit_of(FitQuality(-900, 90.0, 0.17), -9.0), fit_of(FitQuality(-100, 1.0, 0.02), -1.1, -0.3)
+    found = LayerSearch(none, none, none, one, two, None, FitQuality(-200, 1.0, 0.02), slab)
+    assumed = most_probable(found, is_blind=is_blind)
+    assert (assumed.ratios, assumed.rivals) == expected
+
+
+@pytest.mark.parametrize("covariance", [None, 1e-4 * np.eye(2)])
+def test_sigma_holds_the_difference_to_rivals(covariance: Floats | None) -> None:
+    measured, view, rivals = displacement(SAMPLES["two"]()), at(*VIEWS_M[1]), (FAR, (FAR + NEAR) / 2, NEAR)
+    alone, beside = AssumedSample((FAR, NEAR), covariance), AssumedSample((FAR, NEAR), covariance, rivals)
+    found, other = (WAVEFRONTS(measured, None, each) for each in (beside, AssumedSample(rivals)))
+    difference = other.wavefront(view) - found.wavefront(view)
+    beyond = found.sigma(view) ** 2 - WAVEFRONTS(measured, None, alone).sigma(view) ** 2
+    np.testing.assert_allclose(beyond, difference**2, rtol=0.01, atol=1e-3 * np.max(difference**2))
+    assert np.max(np.abs(difference)) > 1e-3
+
+
 @pytest.mark.slow
 def test_error_of_the_distance_is_kept() -> None:
     search = searched("one")
