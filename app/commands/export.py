@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from app.commands import options, terminal
+from app.errors import InputError
 from app.progress import counted
 from app.results.export import EXPORT_FORMATS, Format, export_recording
 
@@ -34,7 +35,9 @@ def export(
 
     Example: svwfs export run1 --to double-zernike --out run1.nc
     """
-    if not (source.is_file() and to == "csv"):
+    if source.is_file() and to != "csv":
+        raise InputError(f"{source}: of a results file only --to csv can be written: give the recording")
+    if not source.is_file():
         options.check_recording(source)
     options.check_files(out, sources=[source], suffixes=EXPORT_FORMATS[to][1], overwrite=overwrite)
     with terminal.analysing(source, out) as progress:

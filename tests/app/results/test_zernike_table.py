@@ -175,6 +175,7 @@ def test_every_result_has_field_table_and_report(
         assert int(row["valid_lenslets"]) == int(stored["valid"].sum())
         if "coefficients" in stored:
             assert float(row["e_3_0_rad"]) == stored["coefficients"].values[3, 0]
+    assert run(monkeypatch, "export", result, "--to", "psf", "--out", tmp_path / "psf.tif") == 2
     assert run(monkeypatch, "report", result, "--out", report) == 0
     assert_drawn(report)
 
