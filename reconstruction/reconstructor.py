@@ -529,7 +529,7 @@ def _why_lost(outcome: LensletStatuses) -> str:
     if left > many:
         return f"{left} subimages have left their cells, the aberration is beyond the dynamic range"
     unlike = counts[LensletStatus.DIVERGED]
-    return f"{unlike} subimages look different: another mask, out of focus, moved or partly blocked?"
+    return f"{unlike} subimages look different: check the mask, the focus, and what covers the beam"
 
 
 def _variance(displacement: Displacement) -> Floats:

@@ -173,7 +173,7 @@ class QualityChecker:
         if slopes_px > limit_px:  # their own variance takes longer to compute
             slopes_px = self._slope_misfit_px(displacement, displacement.variance[:, :, 0].mean(axis=-1))
         if slopes_px > limit_px:
-            moved = "has the camera turned since the reference, or is the frame torn?"
+            moved = "the camera may have turned, or the frame is torn; take a new reference (R)"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
         if saturated > _SATURATED * lit:
             yield Fault.CLIPPED, f"{saturated} of {lit} lenslets are saturated: {TOO_BRIGHT}"
@@ -191,7 +191,7 @@ class QualityChecker:
         uneven = np.count_nonzero((ratio > _UNEVEN) | (ratio * _UNEVEN < 1))
         share = max(float(light.sum()), 0.0) / float(self._light.sum())
         if share < _DIM:
-            dimmed = "is the light on, and its current as before?"
+            dimmed = "check the light and its current"
             yield Fault.ILLUMINATION, f"the frame has only {100 * share:.2g} % of the reference's light: {dimmed}"
         elif uneven > _BLOCKED * ratio.size:
             change = f"relative to the others, by more than a factor of {_UNEVEN:g} since the reference"
@@ -260,7 +260,7 @@ class QualityChecker:
         return math.sqrt(max(square / freedom, 0.0)) if freedom else 0.0
 
 
-_LOOK = "another mask, focus, motion, a ghost, a sample that absorbs or wrong grey values?"
+_LOOK = "check the mask and the focus, then take a new reference (R)"
 
 
 def _sharpness(reference: ReferenceSubimages) -> float:
