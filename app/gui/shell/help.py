@@ -89,6 +89,14 @@ def _show_log(messages: MessageStrip) -> None:
     dialog.show()
 
 
+def _show_documentation(messages: MessageStrip, page: str = FIRST_PAGE, anchor: str = "") -> None:
+    if (folder := documentation()) is None:
+        messages.warn("the documentation is not installed: it is in the folder docs of the source")
+    elif (window := messages.window()) is not None:  # as above
+        heading = entries().get(anchor, "").partition("\n")[0]
+        TextDialog("documentation", "Documentation", window).show_page(folder / page, heading)
+
+
 def help_entries(
     window: QWidget, menus: Mapping[str, Entries], messages: MessageStrip, facts: Callable[[], Mapping[str, str]]
 ) -> Entries:
@@ -104,14 +112,7 @@ def help_entries(
         dialog.show()
 
     messages.show_log.clicked.connect(lambda: _show_log(messages))
-    messages.explain.clicked.connect(lambda: show_documentation(TROUBLES, entry_of(messages.text.text())))
-
-    def show_documentation(page: str = FIRST_PAGE, anchor: str = "") -> None:
-        if (folder := documentation()) is None:
-            messages.warn("the documentation is not installed: it is in the folder docs of the source")
-        else:
-            heading = entries().get(anchor, "").partition("\n")[0]
-            TextDialog("documentation", "Documentation", window).show_page(folder / page, heading)
+    messages.explain.clicked.connect(lambda: _show_documentation(messages, TROUBLES, entry_of(messages.text.text())))
 
     def show_about() -> None:
         installed = versions("zarr")
@@ -126,6 +127,6 @@ def help_entries(
     return (
         ("Shortcuts and conventions…", "F1", show_keys),
         ("Message log…", "Ctrl+L", messages.show_log),
-        ("Documentation…", "Shift+F1", show_documentation),
+        ("Documentation…", "Shift+F1", lambda: _show_documentation(messages)),
         ("About svwfs…", "", show_about),
     )
