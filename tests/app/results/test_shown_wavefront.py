@@ -17,6 +17,7 @@ from app.results.shown_wavefront import DisplayOptions, StoredWavefront, Unit, W
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
 from reconstruction.geometry import Field
+from reconstruction.pupil import Pupil
 from reconstruction.solve.zonal import ZonalSolution
 from reconstruction.wavefront import Wavefront, without_piston
 
@@ -160,3 +161,19 @@ def test_units() -> None:
     assert Unit.WAVES.per_rad(SENSOR.wavelength_m) == pytest.approx(1 / 6.283185307)
     assert Unit.NM.per_rad(SENSOR.wavelength_m) == pytest.approx(462 / 6.283185307)
     assert Unit.RAD.per_rad(SENSOR.wavelength_m) == 1
+
+
+def test_modes_are_removed_over_the_pupil_that_is_drawn() -> None:
+    """What is left of spherical aberration and defocus is the defocus, only if both are those of the same circle."""
+    radius_m = 4.1 * SENSOR.lenslet_pitch_m
+    x, y = SENSOR.pupil_x_m / radius_m, SENSOR.pupil_y_m[:, None] / radius_m
+    square = x**2 + y**2
+    defocus = np.sqrt(3) * (2 * square - 1)
+    wavefront = bowl()
+    wavefront.views[:] = 0.3 * defocus + 0.5 * np.sqrt(5) * (6 * square**2 - 6 * square + 1)
+    display = WavefrontDisplay()
+    display.options = DisplayOptions(removed=frozenset({11}), pupil=Pupil.round((0.0, 0.0), radius_m))
+    shown, inside = display(wavefront).views[1, 1], square <= 1
+    left = 0.3 * (defocus - defocus[inside].mean())
+    np.testing.assert_allclose(shown[inside], left[inside], atol=1e-9)
+    assert np.isnan(shown[~inside]).all()
