@@ -3,6 +3,7 @@
 A spot lies where the image, smoothed by a Gaussian, is brightest: there the centroid vanishes that is weighted by a
 Gaussian about it (windowed centroid: Bertin and Arnouts 1996, Astron. Astrophys. Suppl. 117, 393). The weight's
 variance is twice the spot's, so that the scatter is 1.13 times the Cramer-Rao bound, in photon noise as in read noise.
+Among stars it is that of the spot: the light of neighbours would pull.
 Pixels are weighted, not interpolated: a uniform background does not move a spot, nor does its place on the pixels, and
 the noise of the pixels gives the error bars.
 """
@@ -26,11 +27,11 @@ from reconstruction.settings import RegistrationSettings
 
 T = TypeVar("T", bound=np.generic)
 
-_WEIGHT = math.sqrt(2)  # sigma of the weight over the spot's
+_WEIGHT, _AMONG_STARS = math.sqrt(2), 1.0  # sigma of the weight over the spot's; smaller where others are near
 _REACH = 4.0  # sigmas of the weight, beyond which light is left out
 _COMPARED = 2.0  # sigmas of the weight, within which frame and reference are compared
 _PER_BLUR, _PIXEL = 0.45, 1 / 12  # sigma of a diffraction-limited spot over its first zero; variance of a pixel
-_PASSES = 4  # that measure the spots
+_PASSES, _SETTLED = 4, 0.01  # that measure the spots at most; relative change that ends them
 _LEAST_SIGMA_PX, _MOST_SIGMA = 0.3, 1 / 6  # of spots; the latter over the distance between two
 _ITERATIONS, _TOLERANCE_PX, _LAST_PX = 15, 1e-4, 0.01
 _FAR_PX = 3.0  # from the brightest pixel of the smoothed image, beyond which a spot is another one
@@ -97,6 +98,7 @@ class Centroids:
         self._reference = reference
         sampled = SampledModes(star_x, star_y)
         self._modes: FieldModes = LegendreModes(1) if sampled.count == 1 else sampled
+        self._weight = _WEIGHT if sampled.count == 1 else _AMONG_STARS
         self._nominal_px = np.stack(sampled.nodes, axis=-1) * reference.half_width_px  # lattice frame, (S, xy)
         # Borders, 1/px, (border, xy): a single spot may use all of its cell, where no other lenslet is nearer.
         width, height = reference.cell_px
@@ -117,7 +119,9 @@ class Centroids:
         self.sigma_px = math.hypot(_PER_BLUR * reference.blur_px, math.sqrt(_PIXEL))
         for _ in range(_PASSES):
             self._spots = self._find(reference.image, is_reference=True)
-            self.sigma_px = self._measured_sigma_px()
+            before_px, self.sigma_px = self.sigma_px, self._measured_sigma_px()
+            if math.isclose(before_px, self.sigma_px, rel_tol=_SETTLED):
+                break
         self._spots = self._find(reference.image, is_reference=True)
         lit = np.repeat(reference.lit, len(self._nominal_px))
         self._faintest = DARK_CONTRAST * median(self._spots.brightness[lit])
@@ -139,7 +143,7 @@ class Centroids:
         if reference.noise is not None:
             covariance = self._of_noise(after) + self._covariance / reference.reference_frames
         error_px = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2) / 2, 0))
-        found = after.is_peak & self._known & (error_px < _CERTAIN * _WEIGHT * self.sigma_px) & (misfit < _MISFIT)
+        found = after.is_peak & self._known & (error_px < _CERTAIN * self._weight * self.sigma_px) & (misfit < _MISFIT)
 
         lenslets, stars = len(reference.lit), len(self._nominal_px)
         displacement = (after.position_px - before.position_px) @ reference.turn.T
@@ -195,7 +199,7 @@ class Centroids:
 
     def _find(self, image: Image, *, is_reference: bool = False) -> _Spots:
         """Find the spots of an image (row, column): the peaks of the smoothed image, by Newton's method."""
-        sigma_px = _WEIGHT * self.sigma_px
+        sigma_px = self._weight * self.sigma_px
         start = np.rint(self._brightest(image, sigma_px, is_reference=is_reference).reshape(-1, 2)).astype(np.intp)
         half = math.ceil(min(_REACH * sigma_px + _FAR_PX, self._gap_px))
         corner, steps = start - half, np.arange(2 * half + 1)
@@ -269,14 +273,14 @@ class Centroids:
 
     def _propagated(self, variance: Floats, at_px: Floats, curvature: Floats) -> Floats:
         """Covariance of positions at_px (K, xy) in stamps of that variance of the pixels (K, n, n), (K, xy, xy)."""
-        moments = _moments(variance, at_px, (_WEIGHT * self.sigma_px) ** 2 / 2)  # with the square of the weight
+        moments = _moments(variance, at_px, (self._weight * self.sigma_px) ** 2 / 2)  # with the square of the weight
         slopes = np.stack([moments[:, [0, 1], [2, 1]], moments[:, [1, 2], [1, 0]]], axis=1)
         inverse, _ = _inverse(curvature)
         return np.asarray(inverse @ slopes @ inverse)
 
     def _compared(self, after: _Spots) -> tuple[Floats, Floats]:
         """Residual of spots over their contrast (K,), noise aside; covariance by it if noise is unknown (K, xy, xy)."""
-        reference, before, sigma_px = self._reference, self._spots, _WEIGHT * self.sigma_px
+        reference, before, sigma_px = self._reference, self._spots, self._weight * self.sigma_px
         width = after.stamp.shape[1]
         left_out = width // 2 - min(math.ceil(_COMPARED * sigma_px), width // 2)
         middle = slice(left_out, width - left_out)

@@ -233,12 +233,6 @@ class ReferenceSubimages:
         return float(np.median(neighbours / (window**2).mean(axis=(1, 2))))
 
 
-def normalised(window: Floats) -> Floats:
-    """Windows (L, row, column) minus their mean, over their contrast."""
-    window = window - window.mean(axis=(1, 2), keepdims=True)
-    return np.asarray(window / np.maximum(window.std(axis=(1, 2), keepdims=True), 1e-30))
-
-
 def typical(contrast: Floats) -> float:
     """Median contrast of the lit lenslets, which may be few."""
     bright = np.sort(contrast)[-min(_BRIGHT, contrast.size)]

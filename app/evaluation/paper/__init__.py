@@ -20,7 +20,6 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
-from app.evaluation.paper.correlation import Correlation
 from app.files import atomic_write, write_whole
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
@@ -125,6 +124,7 @@ MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
 MODAL_MANY = ReconstructionSettings(method="modal", pupil_modes=91)
 _CENTROIDS = RegistrationSettings(method="centroids")
 _ITK = RegistrationSettings(method="itk_affine")
+_SHIFT = RegistrationSettings(warp="translation")  # of least squares, as the paper finds by correlation
 _AFFINE = RegistrationSettings(warp="affine", rotation=True)  # the paper's, with six parameters
 _GRADIENT_AFFINE = RegistrationSettings(warp="affine")  # with five: subimages do not rotate
 _QUADRATIC = RegistrationSettings(warp="quadratic")
@@ -133,7 +133,7 @@ _CUBIC = RegistrationSettings(warp="cubic")
 Methods = Mapping[str, TableMethod]
 METHODS: dict[str, TableMethod] = {
     "stars_zonal": TableMethod(mask="stars", registration=_CENTROIDS, reconstruction=ZONAL),
-    "correlation_zonal": TableMethod(own=Correlation, reconstruction=ZONAL),
+    "shift_zonal": TableMethod(registration=_SHIFT, reconstruction=ZONAL),
     "itk_affine_zonal": TableMethod(registration=_ITK, reconstruction=ZONAL),
     "itk_affine_modal": TableMethod(registration=_ITK, reconstruction=MODAL),
     "block_flow_zonal": TableMethod(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
@@ -156,12 +156,12 @@ PAPER: dict[Table, dict[str, tuple[float, float, float]]] = {
         "stars_zonal": (0.108, 0.197, 0.147),
         "itk_affine_zonal": (0.275, 0.589, 0.421),
         "itk_affine_modal": (0.383, 0.465, 0.417),
-        "correlation_zonal": (0.511, 1.260, 0.830),
+        "shift_zonal": (0.511, 1.260, 0.830),
     },
     "table2": {
         "itk_affine_zonal": (0.558, 2.450, 1.378),
         "itk_affine_modal": (0.617, 2.449, 1.461),
-        "correlation_zonal": (1.850, 10.228, 5.984),
+        "shift_zonal": (1.850, 10.228, 5.984),
     },
 }
 

@@ -26,7 +26,7 @@ from reconstruction.registration.gauss_newton._alignment import Grid
 from reconstruction.registration.gauss_newton._lenslet_fits import Propagated, WholePixelSearch
 from reconstruction.registration.gauss_newton._warped_sampling import MONOMIALS, window_of
 from reconstruction.registration.response import OwnWavefront
-from reconstruction.registration.subimages import LensletModel, ReferenceSubimages, normalised
+from reconstruction.registration.subimages import LensletModel, ReferenceSubimages
 from reconstruction.runtime.threads import in_threads
 
 # Model error over the brightest pixel of a subimage. Without it the dark surround of a bright subimage, which holds
@@ -417,7 +417,9 @@ def prepare_search(reference: ReferenceSubimages) -> WholePixelSearch:
     width = 2 * int(reference.half_width_px + reference.blur_px / 2) + reference.width % 2
     width = min(width, reference.width - 2 * reach)  # the patch must not exceed the window
     inner = slice((reference.width - width) // 2, (reference.width + width) // 2)
-    light = normalised(reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner])
+    light = reference.light.reshape(-1, reference.width, reference.width)[:, inner, inner]
+    light = light - light.mean(axis=(1, 2), keepdims=True)
+    light /= np.maximum(light.std(axis=(1, 2), keepdims=True), 1e-30)  # over its contrast
     steps_px = reference.steps_px
     steps_px = steps_px[np.abs(steps_px) <= (width - 1) / 2 + reach]
     return WholePixelSearch(
