@@ -76,8 +76,7 @@ class Controller(QObject):
     @property
     def left(self) -> str:
         """Say that the instrument continues, or why it has ended; empty if it ends with the window."""
-        process = self._process
-        return "" if process is None else process.loss or "the instrument keeps running" * process.goes_on
+        return "" if (on := self._process) is None else on.loss or "the instrument keeps running" * on.goes_on
 
     @property
     def _process(self) -> Connection | None:
