@@ -76,7 +76,7 @@ def read_image(path: Path) -> NDArray[Any]:
         image = _read(place)
     except Exception as error:
         raise InputError(f"{path}: cannot be read as {IMAGE_FORMATS}: {in_words(error)}") from error
-    if np.ndim(image) > 2:
+    if np.ndim(image) > 2 and np.size(image):
         image = np.reshape(image, [length for length in np.shape(image) if length > 1])
     if np.ndim(image) == 3 and image.shape[2] in {3, 4}:
         if not np.array_equal(image[..., :2], image[..., 1:3], equal_nan=image.dtype.kind == "f"):
@@ -170,7 +170,7 @@ def _read_tiff(path: Path, index: int | None) -> NDArray[Any]:
             image = series.asarray()
         except ImportError as error:  # this Python lacks what undoes it
             raise refusal from error
-        if series.axes == "SYX":  # its channels are stored one after the other
+        if series.axes == "SYX" and index is None:  # its channels are stored one after the other
             image = np.moveaxis(image, 0, -1)
         image = image if index is None else plane_of(image, index)
         return image if tag is None or image.ndim != 2 else _upright(image, int(tag.value))

@@ -285,7 +285,7 @@ class Reconstructor:
             why = "is the light on?" if is_dark else _why_lost(displacement.outcome)
             raise ReconstructionError(f"{_NO_MATCH}: {why}", image="frame")
         if absorbs is None and not self._absorbs and self.shows_absorption(displacement):
-            return self.absorbing.register(frame, start=displacement)
+            return self.absorbing.register(frame, start=start)  # as a replay does, which knows that it absorbs
         return displacement
 
     def find_sample(self, displacement: Displacement) -> AssumedSample:

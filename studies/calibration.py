@@ -19,7 +19,7 @@ from app.evaluation.frames import NoiseFreeFrames, simulating
 from app.images import read_image
 from reconstruction.arrays import Floats, Image
 from reconstruction.errors import ReconstructionError
-from reconstruction.geometry import Lattice, Sensor
+from reconstruction.geometry import Lattice
 from reconstruction.lattice.search import Survey, survey
 from simulated_devices.settings import Mask
 from studies.estimators import camera
@@ -117,30 +117,28 @@ def lattice_trial(reference: Reference, light: Image, alive: Floats | None) -> R
     `alive` is as `_faint` returns it, None if all lenslets are.
     """
     limits = {name: most * (1.0 if alive is None else _FAINT_FACTOR) for name, most in _LATTICE_LIMITS.items()}
-    limits |= {"whole, wrong by": 0.0, "lit, wrong": 0.0}
+    limits["lit, wrong"] = 0.0
     if light.size <= _TIMED_PIXELS:
         limits["CPU time (s)"] = _LONGEST_S
     begun_s, problem = time.thread_time(), ""
     try:
         found = survey(light, reference.bench.sensor)
-        measured = _errors(found, reference.lattice, reference.bench.sensor, alive)
+        measured = _errors(found, reference.lattice, alive)
         measured["CPU time (s)"] = time.thread_time() - begun_s
     except ReconstructionError as error:
-        measured = dict.fromkeys([*_LATTICE_LIMITS, "whole, wrong by", "lit, wrong", "CPU time (s)"], math.nan)
+        measured = dict.fromkeys([*_LATTICE_LIMITS, "lit, wrong", "CPU time (s)"], math.nan)
         problem = str(error)
     case = f"{reference.case}, {'clean' if alive is None else 'faint'}"
     return trial(case, measured, limits, problem)
 
 
-def _errors(found: Survey, truth: Lattice, sensor: Sensor, alive: Floats | None) -> dict[str, float]:
+def _errors(found: Survey, truth: Lattice, alive: Floats | None) -> dict[str, float]:
     """Return errors of a lattice by name with unit; `alive` as in `lattice_trial`."""
     lattice = found.lattice
-    whole = abs(found.rows - sensor.lenslets[0]) + abs(found.columns - sensor.lenslets[1])
     is_lit = np.ones_like(found.illuminated) if alive is None else alive > 0
     return {
         "centre (px)": math.hypot(lattice.center_x_px - truth.center_x_px, lattice.center_y_px - truth.center_y_px),
         "pitch (px)": abs(lattice.pitch_px - truth.pitch_px),
         "rotation (mrad)": abs(lattice.rotation_rad - truth.rotation_rad) * 1e3,
-        "whole, wrong by": float(whole),
         "lit, wrong": float(np.count_nonzero(found.illuminated != is_lit)),
     }

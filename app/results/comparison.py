@@ -58,6 +58,9 @@ def residual_of(
     `frames` and `change` are those of the first source. `InputError` if the wavefronts cannot be subtracted.
     """
     one, two = _bench_of(source, frames, change), _bench_of(other)
+    nm, other_nm = (1e9 * each.sensor.wavelength_m for each in (one, two))
+    if nm != other_nm:
+        raise InputError(f"{other}: is at {other_nm:g} nm, {source} at {nm:g} nm: reconstruct both at one wavelength")
     _, mean = mean_of_frames(source, frames, part(progress, 0, 2), change)
     _, other_mean = mean_of_frames(other, None, part(progress, 1, 2))
     if mean.shape != other_mean.shape or not all(

@@ -109,6 +109,14 @@ def test_axes_of_length_one_are_dropped(tmp_path: Path, shape: tuple[int, ...]) 
         np.testing.assert_array_equal(read_image(tmp_path / name), IMAGE)
 
 
+def test_three_frames_of_a_stack_are_no_channels(tmp_path: Path) -> None:
+    tifffile.imwrite(tmp_path / "a.tif", STACK[:3], photometric="rgb", planarconfig="separate")  # as by default
+    for index in range(3):
+        np.testing.assert_array_equal(read_image(Path(f"{tmp_path}/a.tif[{index}]")), STACK[index])
+    with pytest.raises(InputError, match="their number is 3"):
+        read_image(Path(f"{tmp_path}/a.tif[3]"))
+
+
 def test_pages_of_other_sizes_are_chosen_by_their_index(tmp_path: Path) -> None:
     with tifffile.TiffWriter(tmp_path / "two.tif") as file:
         file.write(IMAGE)
@@ -131,6 +139,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "a.tif:x": (lambda path: tifffile.imwrite(path, IMAGE), "only HDF5, MAT and NPZ hold arrays with names"),
     "a.png[1]": (lambda path: path.write_bytes(b"BM" + bytes(60)), "cannot be read as"),
     "one.tif[1]": (lambda path: tifffile.imwrite(path, IMAGE), "their number is 1"),
+    "nothing.npy": (lambda path: np.save(path, STACK[:0]), "holds 0 x"),
     "many.npy[9]": (lambda path: np.save(path, STACK), "their number is 5"),
 }
 

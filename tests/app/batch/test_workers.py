@@ -331,7 +331,7 @@ def test_missing_scheduler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
         workers(None, "tcp://127.0.0.1:1"),
     ):
         pass
-    with pytest.raises(InputError, match="give one of them"), workers(2, "tcp://127.0.0.1:1"):
+    with pytest.raises(InputError, match="give one option"), workers(2, "tcp://127.0.0.1:1"):
         pass
 
 

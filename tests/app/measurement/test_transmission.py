@@ -109,6 +109,9 @@ def test_frame_shows_whether_its_sample_absorbs() -> None:
             registered = reconstructor.register(frame, start=found, absorbs=told)
             assert registered.absorbs == told
             assert reconstructor.shows_absorption(registered) == absorbs
+    before, frame = reconstructor.register(frames[0]), frames[1]
+    live, replayed = (reconstructor.register(frame, start=before, absorbs=known) for known in (None, True))
+    np.testing.assert_array_equal(live.coefficients, replayed.coefficients)
     assert reconstructor.absorbing.absorbing is reconstructor.absorbing
 
 

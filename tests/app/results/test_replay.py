@@ -243,7 +243,7 @@ def test_first_frame_is_told_apart(mine: Recording) -> None:
     edit_line(mine, 0, rms_rad=(mine.line(0).rms_rad or 0.0) + 1e-4)
     verification = replayed(mine.folder, must_match=True).verification
     assert verification is not None
-    assert re.search(r"besides \S+ sigma in frame 0, whose start was not recorded", verification.sentence)
+    assert re.search(r"and \S+ sigma in frame 0, whose start was not recorded", verification.sentence)
 
 
 def test_other_software_version_is_named(mine: Recording) -> None:

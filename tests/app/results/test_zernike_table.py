@@ -206,6 +206,10 @@ def test_comparison_is_the_difference(
     capsys.readouterr()
     assert run(monkeypatch, "compare", one, other) == 2
     assert "has other views or lenslets, 2 x 1 x 12 x 12, than" in capsys.readouterr().err
+    reconstruct(monkeypatch, spots, other, "--set", "sensor.wavelength_m=640e-9", "--overwrite")
+    capsys.readouterr()
+    assert run(monkeypatch, "compare", one, other) == 2
+    assert "is at 640 nm" in capsys.readouterr().err
     assert run(monkeypatch, "compare", one, two, "--set", "registration.warp=affine") == 2
     assert "settings can be changed for recordings alone" in capsys.readouterr().err
 
