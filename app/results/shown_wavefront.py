@@ -12,7 +12,7 @@ import numpy as np
 from app.errors import InputError
 from app.results.sources import mean_of_frames, modes_at_views, read_bench_of
 from reconstruction.arrays import Floats
-from reconstruction.geometry import Field
+from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.polynomials import zernike_names
 from reconstruction.pupil import Pupil
@@ -56,17 +56,23 @@ class StoredWavefront:
         return cls(name, wavefront.field, wavefront.displacement.modes, by_mode)
 
     @classmethod
-    def from_results(cls, path: Path, lenslets: tuple[int, ...] | None = None) -> Self:
+    def from_results(cls, path: Path, sensor: Sensor | None = None) -> Self:
         """Read the modal wavefront of a file of results, the mean of its frames.
 
-        `InputError` if it holds none, or not for `lenslets` (lenslet_row, lenslet_column).
+        `InputError` if it holds none, or not for this `sensor`.
         """
         bench = read_bench_of(path)
         coefficients, views = mean_of_frames(path)
         if not coefficients.size:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
-        if lenslets not in {None, views.shape[2:]}:
-            raise InputError("{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *lenslets))
+        if sensor is not None and sensor.lenslets != views.shape[2:]:
+            raise InputError(
+                "{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *sensor.lenslets)
+            )
+        if sensor is not None and sensor.wavelength_m != bench.sensor.wavelength_m:
+            raise InputError(
+                f"{path}: is at {1e9 * bench.sensor.wavelength_m:g} nm: reconstruct both at one wavelength"
+            )
         if (found := modes_at_views(bench, coefficients, views)) is None:  # displacements at stars, say
             raise InputError(f"{path}: its wavefront cannot be evaluated between its views")
         unknown, (pupil, modes) = np.isnan(views).all(axis=(0, 1)), found

@@ -275,9 +275,9 @@ class WavefrontPanel(Panel):
         """Subtract the wavefront of a file of results as soon as it is read."""
         name, _ = QFileDialog.getOpenFileName(self, "Subtract a wavefront", "", "Results (*.nc)")
         if name:
-            lenslets = None if self._newest is None else self._newest.displacement.outcome.shape
+            sensor = None if self._newest is None else self._newest.sensor
             self._reading.forget()  # another file was chosen meanwhile
-            read = partial(StoredWavefront.from_results, Path(name), lenslets)
+            read = partial(StoredWavefront.from_results, Path(name), sensor)
             self._reading.run(read, lambda stored: self.menu.change(stored=stored))
 
     def _apply_options(self) -> None:

@@ -146,7 +146,16 @@ def test_file_for_other_lenslets_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "results.nc"
     write_results(path, result_dataset(growing()), bench=BENCH, inputs={})
     with pytest.raises(InputError, match="has 9 x 13 lenslets, the bench 15 x 15"):
-        StoredWavefront.from_results(path, (15, 15))
+        StoredWavefront.from_results(path, replace(BENCH.sensor, lenslet_rows=15, lenslet_columns=15))
+
+
+def test_file_at_another_wavelength_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "results.nc"
+    write_results(path, result_dataset(growing()), bench=BENCH, inputs={})
+    sensor = replace(BENCH.sensor, lenslet_rows=9, lenslet_columns=13)
+    StoredWavefront.from_results(path, sensor)
+    with pytest.raises(InputError, match="one wavelength"):
+        StoredWavefront.from_results(path, replace(sensor, wavelength_m=1.2 * sensor.wavelength_m))
 
 
 def test_file_whose_coefficients_do_not_give_its_wavefront_is_refused(tmp_path: Path) -> None:
