@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from app.measurement.measurement import Measurement
 from app.recording.reader import Recording
 from app.recording.recorder import RecordingLimit
 from drivers.interface import BadValue, Disconnected, WrongState
+from reconstruction.pupil import Pupil
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("runtime_folder")]  # each prepares a reference
 
@@ -185,7 +187,8 @@ def test_a_late_client_gets_everything() -> None:
         found = newest(second)
         assert found.calibration is not None
         assert found.calibration.dark is not None
-        assert found.calibration.bench == BENCH
+        with_pupil = replace(BENCH.sensor, pupil=Pupil(shape="all"))  # all lenslets of the rectangle are lit
+        assert found.calibration.bench == replace(BENCH, sensor=with_pupil)
 
 
 @pytest.mark.usefixtures("server")
