@@ -21,7 +21,8 @@ from app.recording.folder import lock
 from app.recording.reader import Recording
 from app.recording.reprocess import BLOCK_FRAMES, Reprocessing
 from app.results.dataset import results_in_pieces
-from app.results.replay import changed_bench
+from app.results.replay import changed_bench, first_bench
+from app.results.result_file import with_mode_names
 from app.run_facts import software_facts
 
 
@@ -242,7 +243,10 @@ def first_result(job: BatchJob, source: BatchInput) -> xr.Dataset | None:
     job.check_software()
     made = _prepared(source, job)(source.chosen[:BLOCK_FRAMES], lambda *_: None)
     first = next((each for each in made if each.wavefront is not None), None)
-    return None if first is None else next(results_in_pieces([(first, {})]))
+    if first is None:
+        return None
+    bench = first_bench(Recording(source.folder), source.chosen, job.change)
+    return with_mode_names(next(results_in_pieces([(first, {})])), bench)
 
 
 @lru_cache(maxsize=1)  # blocks come in the order of the recordings; a reconstructor takes tens of megabytes

@@ -117,10 +117,7 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
     Only a file that `grows` has an unlimited dimension: h5netcdf opens such a file six times slower.
     """
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
-    basis = BASES.get(bench.reconstruction.basis)
-    if basis is not None and "pupil_mode" in piece.dims:
-        names = list(basis.names(piece.sizes["pupil_mode"]))
-        piece = piece.assign_coords(pupil_mode_name=("pupil_mode", names, {"long_name": basis.about}))
+    piece = with_mode_names(piece, bench)
     if bench.linearity is not None:
         origin["linearity"] = f"corrected: {bench.linearity.sentence}"
     # names of files need not be text
@@ -134,6 +131,15 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
         unlimited_dims=[FRAME] if grows else [],
         encoding={name: {"chunksizes": (PIECE, *variable.shape[1:])} for name, variable in of_frames.items() if grows},
     )
+
+
+def with_mode_names(results: xr.Dataset, bench: Bench) -> xr.Dataset:
+    """Return results with the names of their pupil modes, if the basis has names."""
+    basis = BASES.get(bench.reconstruction.basis)
+    if basis is None or "pupil_mode" not in results.dims:
+        return results
+    names = list(basis.names(results.sizes["pupil_mode"]))
+    return results.assign_coords(pupil_mode_name=("pupil_mode", names, {"long_name": basis.about}))
 
 
 def _geometry(bench: Bench) -> dict[str, Any]:
