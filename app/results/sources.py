@@ -72,6 +72,8 @@ def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset
         one = results.isel(frame=frame).load()
     if "coefficients" in one:
         _require_plausible(path, one["coefficients"].values)
+        if (one["coefficients_sigma"].values < 0).any():
+            raise InputError(f"{path}: is damaged: it has an error bar below 0")
     return bench, one
 
 

@@ -103,6 +103,14 @@ def test_file_that_another_program_has_changed_opens(mine: Path) -> None:
         assert read.attrs["note"] == "mine"
 
 
+def test_error_bar_below_0_is_refused(mine: Path) -> None:
+    with h5py.File(mine, "r+") as file:  # which has no checksum then
+        file["coefficients_sigma"][2, 1] *= -1
+        file.attrs["note"] = "mine"
+    with pytest.raises(InputError, match="an error bar below 0"):
+        stored_frame(mine, 0)
+
+
 def test_share_without_file_locks_keeps_results(
     monkeypatch: pytest.MonkeyPatch, dataset: xr.Dataset, mine: Path, tmp_path: Path
 ) -> None:
