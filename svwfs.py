@@ -183,6 +183,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     --------
     >>> svwfs.save_result("result.nc", wavefront, bench)
     """
+    from dataclasses import replace
+
     from app.bench.config import as_bench
     from app.errors import InputError
     from app.files import check_suffix
@@ -191,10 +193,15 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
     from app.results.sources import measured
 
     check_suffix(Path(path), ".nc")
-    known = as_bench(bench)
-    if (known.sensor, known.field) != (measured(wavefront).sensor, wavefront.field):
+    known, found = as_bench(bench), measured(wavefront).sensor
+    rows, columns = (
+        known.sensor.lenslet_rows or found.lenslet_rows,
+        known.sensor.lenslet_columns or found.lenslet_columns,
+    )
+    sensor = replace(known.sensor, pupil=found.pupil, lenslet_rows=rows, lenslet_columns=columns)  # as it was found
+    if (sensor, known.field) != (found, wavefront.field):
         raise InputError("the wavefront was measured with another sensor or field than the bench's")
-    write_results(Path(path), result_dataset(wavefront), bench=known, inputs={})
+    write_results(Path(path), result_dataset(wavefront), bench=replace(known, sensor=sensor), inputs={})
 
 
 def open_result(path: str | Path) -> xr.Dataset:

@@ -241,6 +241,18 @@ def test_command_gives_the_same_wavefront(
 
 
 @pytest.mark.slow
+def test_result_is_saved_with_the_bench_that_was_loaded(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
+    """Rows, columns and pupil that it leaves open were found, and are saved."""
+    loaded = replace(bench, sensor=replace(bench.sensor, lenslet_rows=None, lenslet_columns=None), simulation=None)
+    wavefront = svwfs.reconstructor(loaded, images.reference, dark=images.dark)(images.frames[0])
+    svwfs.save_result(tmp_path / "r.nc", wavefront, loaded)
+    with svwfs.open_result(tmp_path / "r.nc") as result:
+        (tmp_path / "b.toml").write_text(result.attrs["bench"])
+        assert result["rms"].dims == ("view_row", "view_column")
+    assert svwfs.load_bench(tmp_path / "b.toml").sensor == wavefront.sensor
+
+
+@pytest.mark.slow
 def test_saved_bench_has_the_lattice_in_force(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     reconstruct = svwfs.reconstructor(bench, images.reference, dark=images.dark)
     svwfs.save_result(tmp_path / "r.nc", reconstruct(images.frames[0]), reconstruct.bench)
