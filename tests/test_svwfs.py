@@ -243,7 +243,7 @@ def test_command_gives_the_same_wavefront(
 @pytest.mark.slow
 def test_result_is_saved_with_the_bench_that_was_loaded(bench: Bench, images: SimulatedFrames, tmp_path: Path) -> None:
     """Rows, columns and pupil that it leaves open were found, and are saved."""
-    loaded = replace(bench, sensor=replace(bench.sensor, lenslet_rows=None, lenslet_columns=None), simulation=None)
+    loaded = replace(bench, sensor=replace(bench.sensor, lenslet_rows=None, lenslet_columns=None))
     wavefront = svwfs.reconstructor(loaded, images.reference, dark=images.dark)(images.frames[0])
     svwfs.save_result(tmp_path / "r.nc", wavefront, loaded)
     with svwfs.open_result(tmp_path / "r.nc") as result:
