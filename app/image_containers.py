@@ -62,7 +62,7 @@ def require_few_pixels(shape: tuple[int, ...]) -> None:
 
 
 def _chosen(shapes: dict[str, tuple[int, ...]], path: Path, name: str) -> str:
-    """Return the name of the array, without one that of the only image."""
+    """Return the name of an array that is there; without a name, that of the only one that is an image."""
     if name in shapes:
         return name
     images = [each for each, shape in shapes.items() if sum(length > 1 for length in shape) > 1]

@@ -180,8 +180,11 @@ def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
 
 
 def _are_alike(found: AssumedSample, before: AssumedSample, sigmas: float) -> bool:
-    """True if two searches have found as many layers, at places that differ by at most so many standard errors."""
-    if len(found.ratios) != len(before.ratios):
+    """True if two searches have found as many layers, and rivals, at places that differ by so many standard errors.
+
+    Those of rivals need not be alike: they say only how much is open.
+    """
+    if (len(found.ratios), len(found.rivals)) != (len(before.ratios), len(before.rivals)):
         return False
     moved = np.abs(np.subtract(found.ratios, before.ratios))
     return bool(np.all(moved <= sigmas * np.hypot(found.sigma, before.sigma)))

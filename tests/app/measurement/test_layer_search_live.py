@@ -98,6 +98,14 @@ def test_samples_within_their_errors_are_alike(
     assert are_alike(sample(found), sample(before), 3.0) == alike
 
 
+def test_a_sample_with_another_number_of_rivals_is_not_alike() -> None:
+    """Else the error bars of live frames would leave out a rival that a later search finds."""
+    alone, open_ = (AssumedSample((-0.8, -0.2), 1e-4 * np.eye(2), rivals) for rivals in ((), (-0.8, -0.5, -0.2)))
+    assert not are_alike(open_, alone, 3.0)
+    assert not are_alike(alone, open_, 3.0)
+    assert are_alike(open_, AssumedSample((-0.8, -0.2), 1e-4 * np.eye(2), (-0.9, -0.5, -0.1)), 3.0)
+
+
 @pytest.fixture
 def apart(monkeypatch: pytest.MonkeyPatch) -> list[BackgroundEstimatorProcess]:
     """Processes of background estimators; each solver starts one."""
