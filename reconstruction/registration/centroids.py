@@ -13,6 +13,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import optimize
 
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod
@@ -41,7 +42,8 @@ _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the refere
 _EXPECTED = 1 / 3  # of the gap between stars, within which each lies in the reference
 _TINY = np.finfo(np.float32).tiny
 _FITTED = 4  # numbers fitted to a spot: position, gain and offset
-_GAUSSIAN = 0.975  # correlation of the mean subimage with a Gaussian, noise aside, above which it is a spot
+_ALIKE = 0.975  # correlation of the mean subimage with a spot, noise aside, above which it is one
+_HALOES = np.array([0.5, 1.0, 2.0])  # sigmas of the Gaussians of a spot over its own
 
 
 def prepare(
@@ -62,7 +64,7 @@ def spot_sigma_px(reference: ReferenceSubimages) -> float:
         found = Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1))
     except (ReconstructionError, ValueError):
         return 0.0
-    return found.sigma_px if found.likeness() > _GAUSSIAN else 0.0
+    return found.sigma_px if found.likeness() > _ALIKE else 0.0
 
 
 class _Spots(NamedTuple):
@@ -164,9 +166,10 @@ class Centroids:
         )
 
     def likeness(self) -> float:
-        """Correlation of the mean subimage of the reference, each about its spot, with a Gaussian as wide.
+        """Correlation of the mean subimage of the reference, each about its spot, with the spot most like it.
 
-        The correlation of two halves of the lenslets shows the noise, whose effect is taken away.
+        A spot is a sum of concentric Gaussians: pictures have flat tops, which no sum of them has. The correlation of
+        two halves of the lenslets shows the noise, whose effect is taken away.
         """
         reference, spots = self._reference, self._spots
         known = self._known & np.repeat(reference.lit, len(self._nominal_px))
@@ -175,8 +178,11 @@ class Centroids:
         if len(light) < 2:
             return 0.0
         light /= spots.brightness[known, None]
-        gaussian = np.exp(np.sum(reference.offset_px**2, axis=1) / (-2 * self.sigma_px**2))
-        of_one, of_other, alike = np.corrcoef([light[::2].mean(axis=0), light[1::2].mean(axis=0), gaussian])[
+        away = np.sum(reference.offset_px**2, axis=1)[:, None] / self.sigma_px**2
+        gaussians = np.exp(away / (-2 * _HALOES**2))
+        amplitudes, _ = optimize.nnls(gaussians - gaussians.mean(axis=0), light.mean(axis=0) - light.mean())
+        spot = gaussians @ amplitudes
+        of_one, of_other, alike = np.corrcoef([light[::2].mean(axis=0), light[1::2].mean(axis=0), spot])[
             [0, 1, 0], [2, 2, 1]
         ]
         return float(math.sqrt(max(of_one * of_other / alike, 0.0)) if alike > 0 else 0.0)

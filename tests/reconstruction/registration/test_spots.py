@@ -174,6 +174,13 @@ def test_spots_choose_centroids(sigma_px: float, field_half_width_px: float) -> 
     assert chosen(RegistrationSettings(warp="affine"), subimages(bench, reference))[0].method == "gauss_newton"
 
 
+def test_spots_with_a_halo_choose_centroids() -> None:
+    """Cores in wide haloes, as those of a Hartmann sensor, resemble no single Gaussian."""
+    bench = SpotBench()
+    reference = bench.image(sigma_px=1.0, light=2e3) + bench.image(sigma_px=3.0, light=6e3)
+    assert chosen(RegistrationSettings(), subimages(bench, reference))[0].method == "centroids"
+
+
 @pytest.mark.parametrize("mask", [mask for mask in MASKS if mask != "image"])
 def test_pictures_choose_gauss_newton(mask: Mask) -> None:
     source = stars(Source()) if mask == "stars" else source_points(mask, Source(), object_samples=19)
