@@ -14,22 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal, Self, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from app.acquisition.dark_reference_store import AverageState, DarkReferenceStore
 from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, changes_in_words, with_known, write_bench
 from app.bench.settings_schema import fits
 from app.measurement.auto_exposure import AutoExposure, auto_expose
-from app.measurement.averages import (
-    EXPOSURE_FRAMES,
-    Average,
-    BackgroundCheck,
-    check_background,
-    take_dark,
-    take_reference,
-)
+from app.measurement.averages import Average, BackgroundCheck, check_background, take_dark, take_reference
 from app.measurement.background_estimator import LiveEstimator
 from app.measurement.calibration import Calibration, surveyed
 from app.measurement.estimator import Estimator, mask_sentence
@@ -51,7 +41,6 @@ from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.runtime.child_process import Child, Condition, condition_of
 
 WINDOW = "live"  # command of the recordings of a window, and of those that name none
-_PICTURE_PX = 240  # longest side of a small picture
 _LATTICE_FRAMES = 4  # averaged to find the lattice
 _BACKGROUND_FRAMES = 8  # averaged to check the background
 
@@ -315,7 +304,7 @@ class Instrument:
             raise WrongState(self.references.doubt(self._now()))
         return self._survey(reference)
 
-    def measure_linearity(self, frames: int = EXPOSURE_FRAMES) -> MeasuredLinearity:
+    def measure_linearity(self, frames: int) -> MeasuredLinearity:
         """Measure the camera's nonlinearity in exposures of `frames` frames, changing nothing."""
         callbacks = self._callbacks(self, "measuring the camera's nonlinearity")
         return measure_linearity(self.devices, self._pitch_px, frames, callbacks)
@@ -361,33 +350,28 @@ class Instrument:
         self.bench = after
         self._prepare(f"{'' if mask is None else f'for the mask {mask}, '}with {changes_in_words(before, after)}")
 
-    def undoable(self) -> tuple[str, NDArray[np.uint8] | None]:
-        """Return what `undo` takes back, and a small picture of the dark or reference that returns, if any.
-
-        `WrongState` if nothing was replaced.
-        """
-        if (before := self._replaced) is None:
-            raise WrongState("there is nothing to undo: no dark, reference or bench was replaced")
-        average = (before.darks if before.by == "the new dark" else before.references).average
-        if average is None:
-            return before.by, None
-        small = average.mean[:: -(-average.mean.shape[0] // _PICTURE_PX), :: -(-average.mean.shape[1] // _PICTURE_PX)]
-        low, high = np.percentile(small, (1, 99.8))
-        return before.by, np.clip(255 * (small - low) / max(high - low, 1), 0, 255).astype(np.uint8)
+    def undoable(self) -> tuple[str, str]:
+        """Return what `undo` takes back, and how the dark or reference that returns was taken."""
+        before = self._last_replaced()
+        returning = {"the new dark": before.darks, "the new reference": before.references}.get(before.by)
+        return before.by, "" if returning is None else returning.state("").how
 
     def undo(self) -> str:
         """Restore what the last dark, reference or change of the bench replaced; again, and that returns.
 
         Return what was taken back; `WrongState` if nothing was replaced.
         """
-        by, _ = self.undoable()
-        before = self._replaced
-        if before is not None:
-            self._remember(by)
-            self.bench, self._lattice = before.bench, before.lattice
-            self.darks, self.references = before.darks, before.references
-            self._prepare(f"as before {by}")
-        return by
+        before = self._last_replaced()
+        self._remember(before.by)
+        self.bench, self._lattice = before.bench, before.lattice
+        self.darks, self.references = before.darks, before.references
+        self._prepare(f"as before {before.by}")
+        return before.by
+
+    def _last_replaced(self) -> _Replaced:
+        if self._replaced is None:
+            raise WrongState("there is nothing to undo: no dark, reference or bench was replaced")
+        return self._replaced
 
     def _remember(self, by: str) -> None:
         self._replaced = _Replaced(by, self.bench, self._lattice, copy(self.darks), copy(self.references))

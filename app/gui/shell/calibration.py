@@ -3,11 +3,8 @@
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QImage, QPixmap
-from PyQt6.QtWidgets import QDialog, QGridLayout, QMessageBox, QWidget
+from PyQt6.QtWidgets import QDialog, QGridLayout, QWidget
 
 from app.acquisition.start_up import EXPOSURE, LATTICE, STEPS, CalibrationStep, by_hand, has_moved
 from app.gui.panels.camera import CameraPanel
@@ -83,21 +80,12 @@ class CalibrationGuide(QDialog):
         self._controller.send(lambda to: to.check_background(), show)
 
     def ask_undo(self) -> None:
-        """Ask whether to take the last dark, reference or change of the bench back, with a picture of what returns."""
+        """Ask whether to take the last dark, reference or change of the bench back."""
 
-        def ask(found: tuple[str, NDArray[np.uint8] | None]) -> None:
-            by, picture = found
-            question, window = f"Restore what was in force before {by}?", self.parentWidget()
-            box = QMessageBox(QMessageBox.Icon.Question, "Undo", question, parent=window)
-            if picture is not None:
-                height, width = picture.shape
-                image = QImage(picture.tobytes(), width, height, width, QImage.Format.Format_Grayscale8)
-                box.setIconPixmap(QPixmap.fromImage(image))
-            restore = Button("Restore", "", lambda: self._controller.send(lambda to: to.undo(), done))
-            box.addButton(restore, QMessageBox.ButtonRole.AcceptRole)
-            box.addButton(QMessageBox.StandardButton.Cancel)
-            box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-            box.open()
+        def ask(found: tuple[str, str]) -> None:
+            by, how = found
+            question = f"restore what was in force before {by}{how and f' ({how})'}?"
+            self._messages.ask(question, lambda: self._controller.send(lambda to: to.undo(), done), "Restore", "Cancel")
 
         def done(by: str) -> None:
             self._messages.inform(f"restored the state before {by}; press Ctrl+Z to return")
