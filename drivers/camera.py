@@ -27,6 +27,7 @@ NOT_STARTED = "the camera must be started before a frame can be read"
 CLOSING = "the camera is being closed"
 NO_FRAME = "no frame came in time"
 STOPPED = "the camera has stopped taking frames on its own; start it again"
+GONE = "the camera is gone: check its power and cable, then connect again"
 NO_MEMORY = "the computer lacks memory for the frames: lower camera.ring_frames"
 
 

@@ -25,33 +25,6 @@ from drivers.errors import (
 from drivers.light_source import LightSource, OffCount
 from drivers.stage import Stage
 
-__all__ = [
-    "NO_FRAME",
-    "REFUSALS",
-    "BadValue",
-    "Busy",
-    "Camera",
-    "CameraCapabilities",
-    "CameraState",
-    "Device",
-    "DeviceError",
-    "DeviceTimeout",
-    "Devices",
-    "Disconnected",
-    "Frame",
-    "FrameLost",
-    "LightHeldOff",
-    "LightSource",
-    "OffCount",
-    "Property",
-    "Range",
-    "Region",
-    "Stage",
-    "Unsupported",
-    "WrongState",
-    "switched",
-]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Devices:

@@ -22,6 +22,7 @@ from app.errors import RunError
 _PACKAGES = ("app.", "drivers.", "reconstruction.", "simulated_devices.")
 _ALIGNED_BYTES = 64
 _HEAD_BYTES = 64  # before the text: its length
+MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 
 
 class Message:

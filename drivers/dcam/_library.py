@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from drivers.camera import NO_MEMORY
+from drivers.camera import GONE, NO_MEMORY
 from drivers.device import choose
 from drivers.errors import BadValue, Busy, DeviceError, DeviceTimeout, Disconnected, FrameLost, Unsupported, WrongState
 
@@ -66,8 +66,6 @@ class NotThere(Unsupported):
 class Denied(WrongState):
     """A busy camera does not allow access to this property."""
 
-
-GONE = "the camera is gone: check its power and cable, then connect again"
 
 # Messages, and the codes (unsigned) with their names in Hamamatsu's header; the library returns negative numbers.
 _TABLE: dict[type[DeviceError], dict[str, str]] = {

@@ -6,16 +6,8 @@ from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
 
-from drivers.dcam._library import (
-    GONE,
-    TEXT_BYTES,
-    DcamLibrary,
-    Denied,
-    NotThere,
-    PropertyAttribute,
-    PropertyValueText,
-    sized,
-)
+from drivers.camera import GONE
+from drivers.dcam._library import TEXT_BYTES, DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
 from drivers.device import Property, Range
 from drivers.errors import REFUSALS, BadValue, DeviceError, Disconnected
 

@@ -14,7 +14,6 @@ from app.recording.recorder import RecordingState
 from drivers import errors
 from reconstruction.errors import ReconstructionError
 
-MOST_BYTES = 2**28  # of a message to the instrument: a calibration of 2048 x 2048 pixels has a third
 _ERRORS = (
     *(errors.BadValue, errors.Busy, errors.DeviceError, errors.DeviceTimeout, errors.Disconnected),
     *(errors.FrameLost, errors.Unsupported, errors.WrongState),

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import Any, Concatenate, ParamSpec, TypeVar
 
 from app.acquisition.instrument import Instrument
-from app.acquisition.remote.messages import MOST_BYTES, Answer, Command
-from app.acquisition.serialization import Message
+from app.acquisition.remote.messages import Answer, Command
+from app.acquisition.serialization import MOST_BYTES, Message
 from app.errors import RunError
 from drivers.errors import BadValue
 

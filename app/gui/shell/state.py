@@ -3,17 +3,8 @@
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QByteArray, QObject, QRect, QSettings
-from PyQt6.QtGui import QAction, QActionGroup
-from PyQt6.QtWidgets import (
-    QAbstractButton,
-    QApplication,
-    QComboBox,
-    QDialog,
-    QFormLayout,
-    QLineEdit,
-    QMainWindow,
-    QWidget,
-)
+from PyQt6.QtGui import QActionGroup
+from PyQt6.QtWidgets import QApplication, QComboBox, QDialog, QFormLayout, QMainWindow, QWidget
 
 from app.gui.shell.docks import restore_docks
 from app.gui.widgets import theme
@@ -24,12 +15,6 @@ from app.gui.widgets.texts import label
 _LAYOUT = 2  # a state of another version is ignored
 _THEME, _SIZE = "preferences/theme", "preferences/text"  # keys of the saved state
 _USUAL = {_THEME: "system", _SIZE: "100"}
-_PROPERTIES = (  # of Qt, that hold the state of a part
-    (QComboBox, "currentText"),
-    (QLineEdit, "text"),
-    (QAction | QAbstractButton, "checked"),
-    (QWidget, "visible"),
-)
 _SIZES = (80, 100, 125, 150)  # percent of the desktop's
 
 
@@ -44,7 +29,7 @@ def _parts(window: QMainWindow) -> Mapping[str, QObject]:
 
 
 def save_state(saved: QSettings, window: QMainWindow) -> None:
-    """Save the window and its parts: choices, toggles, and widgets that can be hidden."""
+    """Save the window and its parts: choices and ticks."""
     saved.setValue("window/geometry", window.saveGeometry())
     saved.setValue("window/panels", window.saveState(_LAYOUT))
     for key, part in _parts(window).items():
@@ -94,7 +79,8 @@ def _restore(part: QObject, value: str) -> None:
 
 
 def _property(part: QObject) -> str:
-    return next(name for kind, name in _PROPERTIES if isinstance(part, kind))
+    """Return the property of Qt that holds the state of a choice or a tick."""
+    return "currentText" if isinstance(part, QComboBox) else "checked"
 
 
 def _preference(saved: QSettings, key: str) -> str:

@@ -43,20 +43,15 @@ def close_button(dialog: QWidget, tool_tip: str = "Close (Esc)") -> Button:
 class Toggle(Button):
     """A button that stays pressed until the next click."""
 
-    def __init__(
-        self, text: str, tool_tip: str, clicked: Slot | None = None, *, is_on: bool = False, key: str = ""
-    ) -> None:
-        """Under its `key`, if any, its state is restored at the next start."""
+    def __init__(self, text: str, tool_tip: str, clicked: Slot) -> None:
         super().__init__(text, tool_tip, clicked)
-        self.setObjectName(key)
         self.setCheckable(True)
-        self.setChecked(is_on)
 
 
 def checkable(
     parent: QWidget, text: str, tool_tip: str, toggled: Slot, *, is_on: bool = False, key: str = ""
 ) -> QAction:
-    """Make an entry of a menu that is ticked or not; `key`: see `Toggle`."""
+    """Make an entry of a menu that is ticked or not; under its `key`, if any, that is restored at the next start."""
     made = QAction(text, parent)
     made.setToolTip(tool_tip)
     made.setObjectName(key)
@@ -77,7 +72,7 @@ class Choice(QComboBox):
         *,
         key: str = "",
     ) -> None:
-        """Offer texts, some with data; call `changed` when another is current. `key`: see `Toggle`."""
+        """Offer texts, some with data; call `changed` when another is current. `key`: see `checkable`."""
         super().__init__()
         self.setItemDelegate(QStyledItemDelegate(self))  # Qt's own paints all items like a wanted value
         if (listed := self.view()) is not None:

@@ -1,29 +1,17 @@
 """Layouts of widgets: rows, columns, and areas that scroll where the screen is small."""
 
-from typing import TypeVar
-
 from PyQt6.QtCore import QEvent, QObject, QSize, Qt
-from PyQt6.QtWidgets import (
-    QAbstractScrollArea,
-    QBoxLayout,
-    QFrame,
-    QHBoxLayout,
-    QLayout,
-    QScrollArea,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QAbstractScrollArea, QBoxLayout, QFrame, QLayout, QScrollArea, QWidget
 
 from app.gui.widgets.texts import label
 
 Item = QWidget | QLayout | tuple[QWidget | QLayout, int]  # the number is the stretch
-L = TypeVar("L", bound=QBoxLayout)
 FRAME_PX = QSize(10, 40)  # window managers add it only when a window is shown
 
 
-def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QHBoxLayout:
+def row(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QBoxLayout:
     """Arrange widgets and layouts from left to right, without margins."""
-    return _filled(QHBoxLayout(parent), items, spacing)
+    return _filled(QBoxLayout(QBoxLayout.Direction.LeftToRight, parent), items, spacing)
 
 
 def row_of(*items: Item) -> QWidget:
@@ -41,9 +29,9 @@ def captioned(name: str, control: QWidget) -> QWidget:
     return made
 
 
-def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QVBoxLayout:
+def column(*items: Item, spacing: int = 6, parent: QWidget | None = None) -> QBoxLayout:
     """Arrange widgets and layouts from top to bottom, without margins."""
-    return _filled(QVBoxLayout(parent), items, spacing)
+    return _filled(QBoxLayout(QBoxLayout.Direction.TopToBottom, parent), items, spacing)
 
 
 def fill_dialog(dialog: QWidget, *items: Item) -> None:
@@ -56,7 +44,7 @@ def fill_strip(strip: QWidget, *items: Item) -> None:
     row(*items, parent=strip).setContentsMargins(10, 3, 6, 3)
 
 
-def _filled(layout: L, items: tuple[Item, ...], spacing: int) -> L:
+def _filled(layout: QBoxLayout, items: tuple[Item, ...], spacing: int) -> QBoxLayout:
     layout.setContentsMargins(0, 0, 0, 0)
     layout.setSpacing(spacing)
     for item in items:
