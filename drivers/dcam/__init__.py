@@ -30,7 +30,7 @@ class DcamSettings:
     em_gain_warning_level: Annotated[int, Ge(1), Le(3), Doc("Warning level; 3 is the most sensitive")] | None = None
     binning: Annotated[int, Ge(1), Le(16)] = 1
     region: RegionSetting | None = None
-    trigger: Literal["internal", "external", "software"] = "internal"
+    trigger: Literal["internal", "external"] = "internal"
     trigger_active: Literal["edge", "level", "synchronous"] | None = None
     trigger_polarity: Literal["negative", "positive"] | None = None
     trigger_delay_s: Annotated[float, Ge(0), Le(86_400)] | None = None

@@ -23,7 +23,7 @@ class Capture:
     """One capture, from `begin` to `end`.
 
     A frame's index is the library's count of transferred frames plus those lost before transfer, which follow from the
-    camera's own frame numbers. With the software trigger, `read` fires the trigger.
+    camera's own frame numbers.
     """
 
     def __init__(
@@ -40,9 +40,7 @@ class Capture:
         self._properties = properties
         self._shape = shape
         self._clock = clock
-        self._is_fired_here = trigger == "software"
         self._is_exposing = trigger == INTERNAL  # as far as known
-        self._fire_due_s = -math.inf
         self._in_force = SettingsInForce(*in_force)
         self._next = 0  # library's number of the next frame
         self._lost = 0  # before transfer
@@ -88,33 +86,18 @@ class Capture:
         self._in_force.change(first, exposure_s, em_gain)
 
     def read(self, timeout_s: float) -> Frame:
-        """Return the oldest unread frame, firing the software trigger for it once.
-
-        Raises `WrongState` if the capture has stopped or was aborted; `end` must follow.
-        """
+        """Return the oldest unread frame; `WrongState` if the capture has stopped or was aborted: `end` must follow."""
         deadline_s = self._clock() + timeout_s
         while not self._is_aborted:
             frame = self._oldest()
             if frame is not None:
                 return frame
-            if self._is_fired_here and not self._is_exposing and self._clock() >= self._fire_due_s:
-                self._fire()
             remaining_s = deadline_s - self._clock()
             if remaining_s <= 0:
                 self._check_alive()
                 raise DeviceTimeout(NO_FRAME)
             self._wait(min(remaining_s, _SLICE_S))
         raise WrongState(CLOSING)
-
-    def _fire(self) -> None:
-        """Fire the software trigger; if the camera is not ready, again after its next event or 0.1 s."""
-        try:
-            self._library.call("dcamcap_firetrigger", self._handle, 0)
-        except WrongState:
-            self._fire_due_s = self._clock() + _SLICE_S
-            self._check_alive(at_once=True)
-        else:
-            self._is_exposing = True
 
     def _wait(self, duration_s: float) -> None:
         """Wait for the next event."""
@@ -125,19 +108,9 @@ class Capture:
             self._check_alive()
         except FrameLost:
             self._is_loss_reported = True
-            if self._is_fired_here:
-                self._restart()
         else:
-            self._fire_due_s = -math.inf
             if request.eventhappened & _STOPPED:
                 self._check_alive(at_once=True)
-
-    def _restart(self) -> None:
-        """Start again after a software-triggered frame was lost: some cameras then ignore the next trigger."""
-        self.stop()
-        self._lost += self._transferred().nFrameCount + 1
-        self._next, self._last, self._is_loss_reported, self._is_exposing = 0, None, False, False
-        self._library.call("dcamcap_start", self._handle, _SEQUENCE)
 
     def _check_alive(self, *, at_once: bool = False) -> None:
         """Raise if a camera, silent for a slice, is gone or has stopped."""
@@ -163,8 +136,6 @@ class Capture:
             self._next = transferred.nFrameCount - self._ring_frames // 2
         number = self._next
         self._next += 1  # also if its copy fails
-        if self._is_fired_here:
-            self._is_exposing = False
         slot = (transferred.nNewestFrameIndex - (transferred.nFrameCount - 1 - number)) % self._ring_frames
         rows, columns = self._shape
         pixels = np.empty(self._shape, np.uint16)

@@ -167,7 +167,6 @@ PROTOTYPES: dict[str, tuple[type, ...]] = {
     "dcamcap_stop": (_HANDLE,),
     "dcamcap_status": (_HANDLE, POINTER(c_int32)),
     "dcamcap_transferinfo": (_HANDLE, POINTER(TransferInfo)),
-    "dcamcap_firetrigger": (_HANDLE, c_int32),
     "dcamwait_open": (POINTER(WaitOpen),),
     "dcamwait_close": (_HANDLE,),
     "dcamwait_start": (_HANDLE, POINTER(WaitStart)),

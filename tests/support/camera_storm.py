@@ -150,7 +150,7 @@ class CameraStorm(Storm):
         def action(camera: Camera) -> None:
             values = getattr(camera.capabilities, f"{what}s")
             before, wanted = getattr(camera, what), values[choice] if choice < len(values) else 99
-            if what == "trigger" and wanted not in {"internal", "software"}:
+            if what == "trigger" and wanted != "internal":
                 return  # no external trigger would come
             try:
                 getattr(camera, f"set_{what}")(wanted)

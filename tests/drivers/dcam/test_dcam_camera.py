@@ -78,19 +78,6 @@ class TestDcamCameraAtLeisure(CameraContract):
             yield camera
 
 
-class TestDcamCameraSoftwareTriggered(CameraContract):
-    """With the software trigger, which only the driver fires."""
-
-    @pytest.fixture
-    def reopen(self, stand_in: StandIn) -> Callable[[], DcamCamera]:
-        return lambda: open_camera(stand_in, trigger="software", region=Region(16, 32, 128, 256))
-
-    @pytest.fixture
-    def camera(self, reopen: Callable[[], DcamCamera]) -> Iterator[DcamCamera]:
-        with reopen() as camera:
-            yield camera
-
-
 def test_exposure_limits_follow_amplifier_and_speed(camera: DcamCamera) -> None:
     assert camera.capabilities.exposure_range_s == Range(0.0139, 1.0)
     with pytest.raises(BadValue, match=r"0\.0139 \.\.\. 1"):
@@ -221,13 +208,13 @@ def test_region_step_is_common_multiple(stand_in: StandIn, changed: Id) -> None:
 
 def test_modes_stay_known_while_running(stand_in: StandIn) -> None:
     region = Region(32, 48, 64, 80)
-    with open_camera(stand_in, binning=2, region=region, readout_speed=2, trigger="software") as camera:
+    with open_camera(stand_in, binning=2, region=region, readout_speed=2, trigger="external") as camera:
         camera._properties.set(Id.RECURSIVEFILTER, 2)
         warnings = camera.warnings()
         before = camera.properties()
         camera.start()
         assert (camera.binning, camera.region, camera.readout_speed) == (2, region, 2)
-        assert (camera.amplifier, camera.em_gain, camera.trigger) == ("em", 4.0, "software")
+        assert (camera.amplifier, camera.em_gain, camera.trigger) == ("em", 4.0, "external")
         assert camera.warnings() == warnings != ()
         running = camera.properties()
         assert running.keys() == before.keys()

@@ -202,7 +202,7 @@ def test_unplugged_during_long_exposure_raises_at_once(stand_in: StandIn, how: P
         assert stand_in.now() - start_s == pytest.approx(2.0, abs=0.11)
 
 
-@pytest.mark.parametrize("trigger", ["internal", "external", "software"])
+@pytest.mark.parametrize("trigger", ["internal", "external"])
 def test_long_wait_needs_nothing_that_busy_camera_denies(stand_in: StandIn, trigger: str) -> None:
     with open_camera(stand_in, readout_speed=1, exposure_s=3.8, trigger=trigger) as camera:
         camera.start()

@@ -63,7 +63,7 @@ def test_camera_without_em_gain_works(stand_in: StandIn) -> None:
 
 
 def test_property_lost_with_mode_is_not_queried(stand_in: StandIn, camera: DcamCamera) -> None:
-    assert list(camera.capabilities.triggers) == ["internal", "external", "software"]
+    assert list(camera.capabilities.triggers) == ["internal", "external"]
     stand_in.remove(Id.TRIGGERSOURCE)
     camera.set_binning(2)
     assert list(camera.capabilities.triggers) == ["internal"]

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import nullcontext
 
-import numpy as np
 import pytest
 from support.dcam_tools import open_camera
-from support.stand_ins.dcam.stand_in import StandIn, pattern
+from support.stand_ins.dcam.stand_in import StandIn
 
 from drivers.dcam._properties import Id
 from drivers.dcam.camera import DcamCamera
-from drivers.interface import DeviceTimeout, Disconnected, FrameLost, Region, Unsupported
-
-SENSOR = Region(0, 0, 512, 512)
-LOSTFRAME, NOTREADY = 0x80000301, 0x80000103
+from drivers.interface import DeviceTimeout, Unsupported
 
 
 def test_external_trigger_makes_one_frame(stand_in: StandIn) -> None:
@@ -27,7 +23,6 @@ def test_external_trigger_makes_one_frame(stand_in: StandIn) -> None:
         assert camera.read(1.0).index == 0
         with pytest.raises(DeviceTimeout):
             camera.read(1.0)
-        assert stand_in.calls("dcamcap_firetrigger") == 0
 
 
 def test_change_before_trigger_holds_for_its_frame(stand_in: StandIn) -> None:
@@ -93,66 +88,3 @@ def with_property(
 def test_exposure_by_trigger_pulse_warns(stand_in: StandIn) -> None:
     with open_camera(stand_in, trigger="external", trigger_active="level") as camera:
         assert camera.warnings() == ("the trigger pulses determine the exposure, not the set time",)
-
-
-def test_each_read_fires_software_trigger(stand_in: StandIn, camera: DcamCamera) -> None:
-    camera.set_trigger("software")
-    camera.start()
-    for index in range(3):
-        stand_in.advance(10.0)  # no frame meanwhile
-        asked_s = stand_in.now()
-        frame = camera.read(1.0)
-        assert frame.index == index
-        np.testing.assert_array_equal(frame.pixels, pattern(index, SENSOR))
-        assert frame.camera_time_s == pytest.approx(asked_s + camera.exposure_s, abs=2e-6)
-    assert stand_in.calls("dcamcap_firetrigger") == 3
-
-
-def test_software_trigger_fires_once_for_slow_frame(stand_in: StandIn) -> None:
-    with open_camera(stand_in, trigger="software", exposure_s=0.5, readout_speed=2) as camera:
-        camera.start()
-        for timeout_s in (0.0, 0.1, 0.2):
-            with pytest.raises(DeviceTimeout):
-                camera.read(timeout_s)
-        camera.set_exposure(0.1)  # holds from the next frame
-        assert [camera.read(1.0).exposure_s for _ in range(3)] == [0.5, 0.1, 0.1]
-        assert stand_in.calls("dcamcap_firetrigger") == 3
-
-
-def test_software_trigger_fires_again_after_lost_frame(stand_in: StandIn) -> None:
-    with open_camera(stand_in, trigger="software") as camera:
-        camera.start()
-        assert camera.read(1.0).index == 0
-        stand_in.lose(2)
-        assert camera.read(1.0).index == 3
-        stand_in.fail("dcambuf_copyframe", LOSTFRAME)
-        with pytest.raises(FrameLost):
-            camera.read(1.0)
-        assert camera.read(1.0).index == 5
-
-
-def test_lost_frame_restarts_camera_that_ignores_next_trigger(stand_in: StandIn, camera: DcamCamera) -> None:
-    stand_in.jam_on_loss()
-    camera.set_trigger("software")
-    camera.start()
-    assert camera.read(1.0).index == 0
-    stand_in.lose(1)
-    for index in (2, 3):
-        frame = camera.read(1.0)
-        assert frame.index == index
-        assert frame.pixels[0, 0] == index - 2  # the camera counts from 0 again
-
-
-def test_refused_software_trigger_times_out(stand_in: StandIn) -> None:
-    with open_camera(stand_in, trigger="software") as camera:
-        camera.start()
-        stand_in.fail("dcamcap_firetrigger", NOTREADY, times=2)
-        assert camera.read(1.0).index == 0  # the second attempt works
-        stand_in.stall()
-        for _ in range(2):
-            with pytest.raises(DeviceTimeout):
-                camera.read(0.5)
-        camera.stop()
-        stand_in.unplug()
-        with pytest.raises(Disconnected):
-            camera.start()

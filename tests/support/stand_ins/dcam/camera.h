@@ -26,7 +26,7 @@ struct Camera {
     double values[PROPERTIES][ELEMENTS];
     int32_t ring_frames; /* 0 without a buffer */
     Slot *ring;
-    bool is_capturing, is_snap, is_jammed;
+    bool is_capturing, is_snap;
     int32_t exposed, transferred; /* frames since the start */
     int32_t overexposed_frames;
     double exposure_end_s; /* of the current frame; infinite while waiting for a trigger */
@@ -39,7 +39,7 @@ typedef enum { PLUGGED, UNPLUGGED, UNPLUGGED_SILENTLY, UNPLUGGED_HALFWAY } Plug;
     do(dcamapi_init) do(dcamapi_uninit) do(dcamdev_open) do(dcamdev_close) do(dcamdev_getstring) do(dcamprop_getattr)  \
     do(dcamprop_getvalue) do(dcamprop_setgetvalue) do(dcamprop_queryvalue) do(dcamprop_getnextid) do(dcamprop_getname) \
     do(dcamprop_getvaluetext) do(dcambuf_alloc) do(dcambuf_release) do(dcambuf_copyframe) do(dcamcap_start)            \
-    do(dcamcap_stop) do(dcamcap_status) do(dcamcap_transferinfo) do(dcamcap_firetrigger) do(dcamwait_open)             \
+    do(dcamcap_stop) do(dcamcap_status) do(dcamcap_transferinfo) do(dcamwait_open)             \
     do(dcamwait_close) do(dcamwait_start) do(dcamwait_abort)
 #define ENUMERATED(name) F_##name,
 typedef enum { EACH_FUNCTION(ENUMERATED) FUNCTIONS } Function;
@@ -54,7 +54,6 @@ typedef struct {
     bool has_failed_init;   /* until dcamapi_uninit every init fails */
     bool answers_while_busy; /* SYSTEM_ALIVE and modes, which Hamamatsu's manual says it denies */
     bool hides_em;          /* the EM properties exist only with the EM amplifier */
-    bool jams_on_loss;      /* a triggered camera that lost a frame needs a restart */
     Plug plug, plug_then;
     double unplug_at_s;
     int32_t to_lose;

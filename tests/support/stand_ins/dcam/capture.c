@@ -27,7 +27,6 @@ void advance(struct Camera *camera) {
         if (world.to_lose > 0) {
             world.to_lose--;
             camera->is_loss_untold = true;
-            camera->is_jammed = world.jams_on_loss && is_triggered(camera);
         } else
             camera->ring[camera->transferred++ % camera->ring_frames] = slot;
         camera->exposure_end_s = is_triggered(camera) ? INFINITY : slot.end_s + frame_period_s(camera);
@@ -78,7 +77,7 @@ int32_t dcamcap_start(HDCAM h, int32_t mode) {
     if (h->is_capturing) return leave(BUSY);
     h->is_capturing = true;
     h->is_snap = mode == CAPTURE_SNAP;
-    h->has_stopped_itself = h->is_loss_untold = h->is_jammed = false;
+    h->has_stopped_itself = h->is_loss_untold = false;
     h->exposed = h->transferred = 0;
     h->exposure_end_s = is_triggered(h) ? INFINITY : now_s() + frame_period_s(h);
     return leave(code);
@@ -105,23 +104,6 @@ int32_t dcamcap_transferinfo(HDCAM h, DCAMCAP_TRANSFERINFO *param) {
     if (!h->ring) return leave(NOTREADY);
     param->nFrameCount = h->transferred;
     param->nNewestFrameIndex = h->transferred ? (h->transferred - 1) % h->ring_frames : -1;
-    return leave(code);
-}
-
-/* Blocks until the camera can take a trigger; a stalled one never can. */
-int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind) {
-    (void)iKind;
-    int32_t code = enter_camera(F_dcamcap_firetrigger, h);
-    if (code < 0) return leave(code);
-    if (value_of(h, TRIGGERSOURCE) != TRIGGERSOURCE_SOFTWARE) return leave(NOTSUPPORT);
-    while (h->is_capturing && world.plug == PLUGGED && !isinf(h->exposure_end_s)) {
-        if (world.is_stalled) return leave(NOTREADY);
-        pass_time(h->exposure_end_s, INFINITY);
-        follow_time();
-    }
-    if (!h->is_capturing) return leave(NOTBUSY);
-    if (!h->is_jammed) h->exposure_end_s = now_s() + frame_period_s(h);
-    pthread_cond_broadcast(&world.changed);
     return leave(code);
 }
 

@@ -157,7 +157,6 @@ DCAM_EXPORT int32_t dcamcap_start(HDCAM h, int32_t mode);
 DCAM_EXPORT int32_t dcamcap_stop(HDCAM h);
 DCAM_EXPORT int32_t dcamcap_status(HDCAM h, int32_t *status);
 DCAM_EXPORT int32_t dcamcap_transferinfo(HDCAM h, DCAMCAP_TRANSFERINFO *param);
-DCAM_EXPORT int32_t dcamcap_firetrigger(HDCAM h, int32_t iKind);
 DCAM_EXPORT int32_t dcamwait_open(DCAMWAIT_OPEN *param);
 DCAM_EXPORT int32_t dcamwait_close(HDCAMWAIT hwait);
 DCAM_EXPORT int32_t dcamwait_start(HDCAMWAIT hwait, DCAMWAIT_START *param);

@@ -34,7 +34,7 @@ int32_t enter(Function function) {
 
 static bool writes(Function function) {
     return function == F_dcamprop_setgetvalue || function == F_dcambuf_alloc || function == F_dcamcap_start ||
-           function == F_dcamcap_stop || function == F_dcamcap_firetrigger;
+           function == F_dcamcap_stop;
 }
 
 int32_t enter_camera(Function function, HDCAM camera) {
@@ -90,7 +90,7 @@ DCAM_EXPORT void stand_in_reset(double speed) {
     world.present = 1;
     world.is_held = world.is_stalled = world.is_overexposed = world.has_cooler_trouble = false;
     world.rounds = true;
-    world.has_failed_init = world.answers_while_busy = world.hides_em = world.jams_on_loss = false;
+    world.has_failed_init = world.answers_while_busy = world.hides_em = false;
     world.plug = PLUGGED;
     world.unplug_at_s = INFINITY;
     world.to_lose = 0;
@@ -145,7 +145,6 @@ SETTER(rounds, world.rounds = value)       /* a value between two steps, or refu
 SETTER(cooler_trouble, world.has_cooler_trouble = value)
 SETTER(answers_while_busy, world.answers_while_busy = value)
 SETTER(hides_em, world.hides_em = value)
-SETTER(jams_on_loss, world.jams_on_loss = value)
 
 /* Pull the plug, after some time, in one of three ways. */
 DCAM_EXPORT void stand_in_unplug(int32_t plug, double after_s) {

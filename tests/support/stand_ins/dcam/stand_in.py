@@ -111,10 +111,6 @@ class StandIn:
         """Offer the EM properties with the EM amplifier only."""
         self._call("hides_em", 1)
 
-    def jam_on_loss(self) -> None:
-        """Take no trigger after a lost frame until the capture is restarted."""
-        self._call("jams_on_loss", 1)
-
     def set_step(self, identifier: int, step: int) -> None:
         """Give one property another step."""
         self._call("step", identifier, step)
