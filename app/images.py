@@ -1,10 +1,9 @@
 """Image files: grey frames of any camera program in, TIFF out."""
 
-import gzip
 import logging
-import math
 import os
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
@@ -17,25 +16,19 @@ from numpy.typing import NDArray
 
 from app.errors import InputError
 from app.files import atomic_write, check_readable, in_words
-from app.image_containers import MOST_PIXELS, is_container, number_in, plane_of, read_array, require_few_pixels
-from reconstruction.arrays import Floats, reading_npy
+from app.image_containers import is_container, number_in, plane_of, read_array, require_few_pixels
+from reconstruction.arrays import reading_npy
 
 IMAGE_FORMATS = "TIFF, FITS, HDF5, MAT, NPY, NPZ, PNG, BMP or PGM"
-SUFFIXES = frozenset(
-    {".tif", ".tiff", ".npy", ".npz", ".h5", ".hdf5", ".mat", ".fits", ".fit", ".fts", ".gz", ".png", ".bmp", ".pgm"}
-)
+_FITS_SUFFIXES = {".fits", ".fit", ".fts", ".fz", ".gz"}
+SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".npz", ".h5", ".hdf5", ".mat", ".png", ".bmp", ".pgm"} | _FITS_SUFFIXES)
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
 _JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
 _TEXT, _GZIP = b"P2", b"\x1f\x8b"
-_MOST_BYTES = 8 * MOST_PIXELS  # of a file that is unpacked
 _OF_NUMBERS = b"0123456789+-.,;eE \t\r\n"
 _INDEX = re.compile(r"\[(-?\d{1,9})\]$")
 _TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # of either order of bytes; the last two of BigTIFF
-_FITS_BLOCK_BYTES, _FITS_CARD_BYTES = 2880, 80
-_FITS_SIZE = "BITPIX, NAXIS, BSCALE or BZERO"
-_FITS_SCALING = ("BSCALE", "1"), ("BZERO", "0")
-_FITS_TYPES = {"8": ">u1", "16": ">i2", "32": ">i4", "64": ">i8", "-32": ">f4", "-64": ">f8"}  # of BITPIX
 
 
 class ImagePlace(NamedTuple):
@@ -109,8 +102,7 @@ def _read(place: ImagePlace) -> NDArray[Any]:
     if start.startswith(_TIFF):
         return _read_tiff(path, index)
     if start.startswith((_FITS, _GZIP)):
-        stored = _unpacked(path) if start.startswith(_GZIP) else np.memmap(path, np.uint8, "r")
-        return _read_fits(path, stored, index)
+        return _read_fits(path, index)
     if start.startswith(np.lib.format.MAGIC_PREFIX):
         return _read_npy(path, index)
     if start.startswith(_PICTURES):
@@ -135,17 +127,6 @@ def _read_npy(path: Path, index: int | None) -> NDArray[Any]:
         plane = mapped if index is None else plane_of(mapped, index)
         require_few_pixels(plane.shape)
         return np.array(plane)
-
-
-def _unpacked(path: Path) -> NDArray[np.uint8]:
-    """Unpack a FITS file in memory."""
-    with gzip.open(path) as file:
-        contents = file.read(_MOST_BYTES + 1)
-    if not contents.startswith(_FITS):
-        raise ValueError("it is packed, and no FITS file; unpack it")
-    if len(contents) > _MOST_BYTES:
-        raise ValueError(f"it unpacks to more than {_MOST_BYTES} bytes; unpack it and choose one image")
-    return np.frombuffer(contents, np.uint8)
 
 
 def _read_tiff(path: Path, index: int | None) -> NDArray[Any]:
@@ -213,55 +194,25 @@ def _silenced() -> Iterator[None]:
         os.close(kept)
 
 
-def _read_fits(path: Path, stored: NDArray[np.uint8], index: int | None) -> NDArray[Any]:
-    """Read the only image of a file, or the one with an index, its first row first (FITS 4.0, sections 3 - 5)."""
-    at, images = 0, []
-    while at < len(stored) and (at == 0 or stored[at : at + 8].tobytes() == b"XTENSION"):
-        header, at = _fits_header(stored, at)
-        if header.get("ZIMAGE") == "T":
-            raise ValueError("its image is compressed; unpack it, for example with funpack")
+def _read_fits(path: Path, index: int | None) -> NDArray[Any]:
+    """Read the only image of a file, packed or not, or the one with an index, its first row first."""
+    from astropy.io import fits  # noqa: PLC0415 - few images need it
+
+    with warnings.catch_warnings(), path.open("rb") as file:
+        warnings.simplefilter("ignore")  # small faults of a header
+        warnings.filterwarnings("error", "File may have been truncated")
         try:
-            shape = [int(header[f"NAXIS{axis}"]) for axis in range(int(header["NAXIS"]), 0, -1)]
-            kind = np.dtype(_FITS_TYPES[header["BITPIX"]])
-            scale, zero = (float(header.get(name, default).replace("D", "E")) for name, default in _FITS_SCALING)
-        except (KeyError, ValueError) as error:
-            raise ValueError(f"its header has no valid {_FITS_SIZE}: {error}") from None
-        if min(shape, default=0) < 0 or not math.isfinite(zero) or not math.isfinite(scale) or not scale:
-            raise ValueError(f"its header has no valid {_FITS_SIZE}")
-        pixels = math.prod(shape) if shape else 0
-        length = (pixels + int(header.get("PCOUNT", 0))) * int(header.get("GCOUNT", 1)) * kind.itemsize
-        if not 0 <= length <= len(stored) - at:
-            raise ValueError("it ends before its last pixel")
-        if pixels and header.get("XTENSION", "IMAGE") == "IMAGE":
-            images.append((header.get("BLANK"), scale, zero, np.frombuffer(stored, kind, pixels, at).reshape(shape)))
-        at += -(-length // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
-    if index is not None and len(images) > 1:
-        images, index = [images[number_in(images, index)]], None
-    ((blank, scale, zero, values),) = _only(images, path)
-    return _fits_values(blank, scale, zero, values if index is None else plane_of(values, index))
-
-
-def _fits_values(blank: str | None, scale: float, zero: float, values: NDArray[Any]) -> NDArray[Any]:
-    """Scale stored values as the header says; undefined ones become NaN."""
-    if blank is not None and values.dtype.kind != "f" and (undefined := values == int(blank)).any():
-        return np.where(undefined, np.nan, np.asarray(values * scale + zero, np.float64))
-    if (scale, zero) == (1.0, 0.0):
-        return values.astype(values.dtype.newbyteorder("="))
-    if values.dtype.kind == "i" and (scale, zero) == (1.0, -float(np.iinfo(values.dtype).min)):
-        return (values.astype(values.dtype.newbyteorder("=")) ^ np.iinfo(values.dtype).min).view(f"u{values.itemsize}")
-    return np.asarray(values * scale + zero)
-
-
-def _fits_header(stored: NDArray[np.uint8], at: int) -> tuple[dict[str, str], int]:
-    """Read the header that begins at a byte: values without comments and quotes, and the byte after it."""
-    header: dict[str, str] = {}
-    for start in range(at, len(stored) - _FITS_CARD_BYTES + 1, _FITS_CARD_BYTES):
-        card = stored[start : start + _FITS_CARD_BYTES].tobytes().decode("latin-1")
-        if card.rstrip() == "END":
-            return header, at + -(-(start + _FITS_CARD_BYTES - at) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES
-        if card[8:10] == "= ":
-            header[card[:8].rstrip()] = card[10:].split("/")[0].strip(" '")
-    raise ValueError("its header has no end")
+            images = [unit for unit in fits.open(file) if unit.is_image and unit.shape]
+            if index is not None and len(images) > 1:
+                images, index = [images[number_in(images, index)]], None
+            (image,) = _only(images, path)
+            require_few_pixels(image.shape)
+            values, blank = image.data, image.header.get("BLANK")
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"its header is damaged: {error}") from error
+        if values.dtype.kind == "u" and blank is not None:  # elsewhere astropy makes undefined pixels NaN
+            values = np.where(values == blank + image.header["BZERO"], np.nan, values)
+        return np.array(values if index is None else plane_of(values, index), values.dtype.newbyteorder("="))
 
 
 def _only(images: list[Any], path: Path) -> list[Any]:
@@ -307,13 +258,3 @@ def write_stack(
             resolution=(1 / pixel_um, 1 / pixel_um),
             resolutionunit="NONE",
         )
-
-
-def fits_file(image: Floats, unit: str) -> bytes:
-    """Return a FITS file of 32-bit floats, its first row first (FITS 4.0, sections 4 and 5)."""
-    rows, columns = image.shape
-    cards: dict[str, Any] = {"SIMPLE": "T", "BITPIX": -32, "NAXIS": 2, "NAXIS1": columns, "NAXIS2": rows}
-    lines = [f"{name:8}= {value:>20}" for name, value in cards.items()] + [f"BUNIT   = '{unit:8}'", "END"]
-    header = "".join(f"{line:{_FITS_CARD_BYTES}}" for line in lines).encode("ascii")
-    parts = header.ljust(-(-len(header) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES), image.astype(">f4").tobytes()
-    return b"".join(parts).ljust(-(-sum(map(len, parts)) // _FITS_BLOCK_BYTES) * _FITS_BLOCK_BYTES, b"\0")

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.files import atomic_write
-from app.images import fits_file
 from app.results import layers
 from app.results.result_file import about
 from app.results.sources import phase_of
@@ -211,7 +210,9 @@ def write_phase(path: Path, phase_rad: Floats) -> None:
         if suffix == ".npy":
             np.save(file, phase_rad.astype(np.float32))
         elif suffix == ".fits":
-            file.write(fits_file(phase_rad, unit="rad"))
+            from astropy.io import fits
+
+            fits.PrimaryHDU(phase_rad.astype(np.float32), fits.Header({"BUNIT": "rad"})).writeto(file)
         else:
             file.write(cv2.imencode(".png", wrapped(phase_rad))[1].tobytes())
 

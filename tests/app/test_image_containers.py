@@ -133,7 +133,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "empty.h5": (lambda path: write_hdf5(path, {}), "it holds no image"),
     "numbers.npz": (lambda path: np.savez(path, a=np.arange(5)), "it holds no image"),
     "objects.npz": (lambda path: np.savez(path, a=np.array([{}, None])), "cannot be read as"),
-    "packed.gz": (lambda path: path.write_bytes(gzip.compress(b"text")), "no FITS file; unpack it"),
+    "packed.gz": (lambda path: path.write_bytes(gzip.compress(b"text")), "corrupt FITS file"),
     "a.csv": (lambda path: path.write_text("1,2,3\n4,5,6\n"), "its numbers as text; save the frame as TIFF or NPY"),
     "a.gif": (lambda path: path.write_bytes(b"GIF89a" + bytes(range(200))), "save the frame as TIFF"),
     "a.tif:x": (lambda path: tifffile.imwrite(path, IMAGE), "only HDF5, MAT and NPZ hold arrays with names"),
