@@ -19,7 +19,6 @@ from studies.imperfect_bench import imperfect_bench
 from studies.layers import corrector, distances
 from studies.masks import mask, masks
 from studies.noise import em_gain, photons
-from studies.nonrigid import nonrigid, nonrigid_experiment
 from studies.screens import ensembles, experiment, roughness, size
 from studies.tables import Asked, Made
 from studies.wrong_settings import dead, focal_length, lattice, source
@@ -30,14 +29,14 @@ STUDIES: dict[str, Study] = {
     for study in (
         *(ensembles, roughness, size, experiment, photons, em_gain, source, lattice, focal_length, dead),
         *(imperfect_bench, mask, masks, calibration, exposure, distances, depth, corrector),
-        *(deconvolution, contestants, nonrigid, nonrigid_experiment),
+        *(deconvolution, contestants),
     )
 }
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run one study and write NAME.csv and NAME.png; words are the arguments of the process if omitted."""
-    about = "\n".join(f"  {name:19} {(study.__doc__ or '').splitlines()[0]}" for name, study in STUDIES.items())
+    about = "\n".join(f"  {name:15} {(study.__doc__ or '').splitlines()[0]}" for name, study in STUDIES.items())
     parser = argparse.ArgumentParser(
         "python -m studies", epilog=f"studies:\n{about}", formatter_class=argparse.RawDescriptionHelpFormatter
     )

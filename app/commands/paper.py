@@ -25,9 +25,7 @@ def paper(
     *,
     out: Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")],
     seeds: options.Seeds = 1,
-    peers: Annotated[
-        bool, typer.Option(help="Include the paper's registration by SimpleITK, slow (extra: peers).")
-    ] = False,
+    peers: Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")] = False,
     overwrite: options.Overwrite = False,
     bench: Annotated[
         str | None, options.bench_option(f"Bench TOML file, or a preset [default: {PAPER}; of table2 {_EXPERIMENT}].")
@@ -40,16 +38,15 @@ def paper(
 
     Example: svwfs paper table2 --seeds 3 --out paper
     """
-    from app.evaluation.paper import METHODS, compare, printed, write_table
+    from app.evaluation.paper import compare, printed, write_table
 
     if table == "sources" and peers:
         raise InputError("--peers: the study of source shapes has no methods of SimpleITK")
     bench = bench or (_EXPERIMENT if table == "table2" else PAPER)
     loaded = options.load(bench, setting)
-    methods = {name: each for name, each in METHODS.items() if peers or each.registration.method != "itk_affine"}
     outputs = [out / f"{table}.{suffix}" for suffix in ("json", "csv", "png")]
     options.check_files(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     with terminal.progress_bar() as progress:
-        data = compare(table, loaded, methods, seeds=seeds, progress=progress)
+        data = compare(table, loaded, seeds=seeds, with_peers=peers, progress=progress)
         write_table(table, data, out)
     terminal.print_table(*printed(table, data))

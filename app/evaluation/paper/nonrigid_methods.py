@@ -1,4 +1,4 @@
-"""Non-rigid registration methods that the paper names, in its tables next to affine maps.
+"""Non-rigid registration methods that the paper names, next to svwfs's own in `svwfs paper`.
 
 They find a displacement for every pixel of a subimage, a flow, of which the values at the views are used.
 
@@ -21,20 +21,17 @@ from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
-import pandas as pd
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.interpolate import make_interp_spline
 
-from app.evaluation.paper import METHODS, ZONAL, Table, TableMethod, compare, figure, problems, summary
 from reconstruction.arrays import Booleans, Floats, Image
 from reconstruction.displacement import Displacement, LensletStatus, diagonal_covariance
 from reconstruction.geometry import Field, centered_steps
 from reconstruction.modes.field_modes import SampledModes
 from reconstruction.registration.itk_affine import align_affine, load_simple_itk, map_lenslets, mean_squares, misfit
 from reconstruction.registration.subimages import ReferenceSubimages, classify_lenslets
-from studies.tables import Asked, Made
 
 _BLOCKS = 7  # along x and along y
 _BLOCK_PX = 9  # odd width of a block; 7 see too little of a square's blurred edge
@@ -272,22 +269,3 @@ def _equally_bright(windows: Floats) -> Image:
     """Shift and scale windows (L, width, width) to mean 0 and a fixed standard deviation."""
     mean, contrast = (np.asarray(of(windows, axis=(1, 2), keepdims=True)) for of in (np.mean, np.std))
     return np.asarray(_CONTRAST * (windows - mean) / np.where(contrast > 0, contrast, 1.0), np.float32)
-
-
-def nonrigid(asked: Asked) -> Made:
-    """Non-rigid methods that the paper names, next to one shift and affine maps, on the frames of its table 1."""
-    return _made("table1", asked)
-
-
-def nonrigid_experiment(asked: Asked) -> Made:
-    """Like nonrigid, on the frames of the paper's table 2: give --bench paper_experiment."""
-    return _made("table2", asked)
-
-
-def _made(table: Table, asked: Asked) -> Made:
-    own = {"block_flow_zonal": BlockFlow, "demons_zonal": Demons, "ffd_zonal": FreeForm}
-    methods = {name: METHODS[name] for name in ("stars_zonal", "shift_zonal", "affine_zonal", "quadratic_zonal")}
-    methods |= {name: TableMethod(own=method, reconstruction=ZONAL) for name, method in own.items()}
-    data = compare(table, asked.bench, methods, seeds=len(asked.seeds), progress=lambda *_: None)
-    refused = pd.DataFrame(problems(data).items(), columns=["method", "problem"])
-    return pd.concat([summary(data), refused]), figure(table, data)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.optics import FIELD, VIEWS, SmallBench, at_views
 
+from app.evaluation.paper.nonrigid_methods import BlockFlow, Demons, FreeForm
 from reconstruction.arrays import Image
 from reconstruction.displacement import LensletStatus
 from reconstruction.errors import ReconstructionError
@@ -17,7 +18,6 @@ from reconstruction.reconstructor import OwnMethods
 from reconstruction.registration.itk_affine import ItkAffine
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
-from studies.nonrigid import BlockFlow, Demons, FreeForm
 
 ROWS, COLUMNS = 2, 3
 FlowMethod = type[BlockFlow | Demons | FreeForm]

@@ -19,6 +19,7 @@ from app.acquisition.devices import simulated_bench
 from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
+from app.evaluation.paper import nonrigid_methods
 from app.files import atomic_write, write_whole
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
@@ -111,6 +112,12 @@ class TableMethod:
     own: OwnRegistration | None = None  # in place of that of the settings
     reconstruction: ReconstructionSettings
 
+    @property
+    def is_peer(self) -> bool:
+        """True if it needs the extra `svwfs[peers]`."""
+        of_itk = (nonrigid_methods.Demons, nonrigid_methods.FreeForm)
+        return self.registration.method == "itk_affine" or self.own in of_itk
+
 
 ZONAL = ReconstructionSettings(method="zonal")
 MODAL = ReconstructionSettings(method="modal", pupil_modes=45)  # the paper's
@@ -129,6 +136,9 @@ METHODS: dict[str, TableMethod] = {
     "shift_zonal": TableMethod(registration=_SHIFT, reconstruction=ZONAL),
     "itk_affine_zonal": TableMethod(registration=_ITK, reconstruction=ZONAL),
     "itk_affine_modal": TableMethod(registration=_ITK, reconstruction=MODAL),
+    "block_flow_zonal": TableMethod(own=nonrigid_methods.BlockFlow, reconstruction=ZONAL),
+    "demons_zonal": TableMethod(own=nonrigid_methods.Demons, reconstruction=ZONAL),
+    "ffd_zonal": TableMethod(own=nonrigid_methods.FreeForm, reconstruction=ZONAL),
     "affine_zonal": TableMethod(registration=_AFFINE, reconstruction=ZONAL),
     "affine_modal": TableMethod(registration=_AFFINE, reconstruction=MODAL),
     "affine_gradient_zonal": TableMethod(registration=_GRADIENT_AFFINE, reconstruction=ZONAL),
@@ -194,8 +204,8 @@ Row = dict[str, Any]
 lenslet_column), `NUMBERS`, `lost` and `seconds`; or `problem`, why there is no result."""
 
 
-def compare(table: Table, bench: Bench, methods: Methods, *, seeds: int, progress: Progress) -> pd.DataFrame:
-    """Measure a table of the paper with some `methods`; return a row for each method, light and screen, see `Row`.
+def compare(table: Table, bench: Bench, *, seeds: int, with_peers: bool, progress: Progress) -> pd.DataFrame:
+    """Measure a table of the paper; return a row for each method, light and screen, see `Row`.
 
     Table 1 is its simulation: every method on noise-free frames, compared to the truth. Table 2 is its experiment:
     noisy frames with both exposures, compared to the stars; every method runs on windows at the true sub-pixel centres
@@ -205,6 +215,7 @@ def compare(table: Table, bench: Bench, methods: Methods, *, seeds: int, progres
     """
     if bench.sensor.arrangement != "square":
         raise InputError("the paper's tables are made for square lattices: leave out lattice.arrangement")
+    methods = {name: each for name, each in METHODS.items() if with_peers or not each.is_peer}
     measure, rows = {"table1": _table1, "table2": _table2, "sources": _sources}[table], list[Row]()
     for index, (light, neglect) in enumerate(LIGHTS.items()):
         lit = replace(bench, field=replace(bench.field, neglect_propagation=neglect))

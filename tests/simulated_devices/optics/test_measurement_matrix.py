@@ -14,12 +14,12 @@ from reconstruction.arrays import PointField
 from reconstruction.geometry import Lattice
 from simulated_devices.optics import source
 from simulated_devices.optics.forward_model import ForwardModel
+from simulated_devices.optics.measurement_matrix import multiply, write_matrix
 from simulated_devices.optics.phase_screen import PhaseScreen, smooth_screen
 from simulated_devices.optics.screen_light import RayMap, ScreenLight
 from simulated_devices.optics.source import SourcePoints
 from simulated_devices.sample import point_field
 from simulated_devices.settings import Source
-from studies.measurement_matrix import multiply, write_matrix
 
 SENSOR = sensor_of(4, 5)
 LATTICE = Lattice(center_x_px=81.3, center_y_px=68.9, pitch_px=31.25, rotation_rad=0.03)
