@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sized
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +113,10 @@ def _opened_mat(path: Path) -> Iterator[dict[str, Any]]:
 
 @contextmanager
 def _opened_npz(path: Path) -> Iterator[dict[str, Any]]:
-    """Yield the arrays of numbers by their names."""
+    """Yield the arrays of numbers by their names; Python objects among them are left out."""
+    arrays: dict[str, Any] = {}
     with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-        arrays = {name: stored[name] for name in stored.files}
+        for name in stored.files:
+            with suppress(ValueError):
+                arrays[name] = stored[name]
     yield {name: array for name, array in arrays.items() if array.dtype.kind in _NUMBERS}

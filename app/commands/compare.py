@@ -24,7 +24,7 @@ def compare(
 
     RMS and PV are those of the first minus the second, where both know the wavefront. --set and --frames are for the
     first, a recording that is reconstructed again: so methods are compared, as in the paper's table of the square with
-    the stars. --plot draws both and the difference.
+    the stars. Modes removed from either are removed from the difference. --plot draws both and the difference.
 
     Example: svwfs compare before.nc after.nc --remove tilt,defocus --plot difference.png
 
@@ -35,15 +35,18 @@ def compare(
     from app.results.figures import place_of_view
     from app.results.replay import change_of
     from app.results.report_pages import comparison_page
+    from app.results.sources import removed_from
     from app.results.zernike_table import modes_named, view_sentence
 
-    settings, removed = tuple(setting or ()), modes_named(remove)
+    settings = tuple(setting or ())
+    removed = modes_named(without := ",".join(filter(None, (remove, removed_from(source), removed_from(other)))))
     with terminal.analysing(source, plot or source) as progress:
         change = change_of(None, settings) if settings else None
         found = residual_of(source, other, frames=frames, change=change, removed=removed, progress=progress)
         options.draw(plot, lambda: comparison_page(found))
-    without = f", without {remove}" if remove else ""
-    title = f"RMS (rad) of {found.name} minus {found.other_name}{without}, means of their frames"
+    names = dict.fromkeys(name.strip().lower() for name in without.split(","))
+    which = f", without {', '.join(names)}" if without else ""
+    title = f"RMS (rad) of {found.name} minus {found.other_name}{which}, means of their frames"
     terminal.print_by_view(found.field, title, ((f"{value:.3f}" for value in row) for row in found.rms_rad))
     view = found.field.view_rows // 2, found.field.view_columns // 2
     place = place_of_view(found.field, *view)

@@ -103,6 +103,15 @@ def read_bench_of(source: Path, settings: tuple[str, ...] = ()) -> Bench:
         return parse_bench(text, f"{source}: bench", settings)
 
 
+def removed_from(source: Path) -> str:
+    """Return the names of the modes that `svwfs reconstruct --remove` left out of results, or ""."""
+    if source.is_dir():
+        return ""
+    with reading_results(source) as results:
+        removed = str(results.attrs.get("removed", "nothing"))
+    return "" if removed == "nothing" else removed
+
+
 def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
     """Return bench and coefficients of one frame, counted from 0, of a recording or a results file.
 

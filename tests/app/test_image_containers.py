@@ -42,7 +42,7 @@ def fits(values: NDArray[np.uint16]) -> bytes:
 
 WRITERS: dict[str, Callable[[Path, NDArray[np.uint16]], object]] = {
     "a.h5": lambda path, array: write_hdf5(path, {"group/frames": array, "exposure_s": np.array(0.1)}),
-    "a.npz": lambda path, array: np.savez(path, frames=array, names=np.array(["a"])),
+    "a.npz": lambda path, array: np.savez(path, frames=array, names=np.array(["a"]), notes=np.array({})),
     "a.npy": np.save,
     "a.tif": lambda path, array: tifffile.imwrite(path, array, photometric="minisblack"),
     "imagej.tif": lambda path, array: tifffile.imwrite(path, array, imagej=True),
@@ -132,7 +132,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "no.mat": (lambda path: path.write_bytes(b"nothing of MATLAB"), "cannot be read as"),
     "empty.h5": (lambda path: write_hdf5(path, {}), "it holds no image"),
     "numbers.npz": (lambda path: np.savez(path, a=np.arange(5)), "it holds no image"),
-    "objects.npz": (lambda path: np.savez(path, a=np.array([{}, None])), "cannot be read as"),
+    "objects.npz": (lambda path: np.savez(path, a=np.array([{}, None])), "it holds no image"),
     "packed.gz": (lambda path: path.write_bytes(gzip.compress(b"text")), "corrupt FITS file"),
     "a.csv": (lambda path: path.write_text("1,2,3\n4,5,6\n"), "its numbers as text; save the frame as TIFF or NPY"),
     "a.gif": (lambda path: path.write_bytes(b"GIF89a" + bytes(range(200))), "save the frame as TIFF"),

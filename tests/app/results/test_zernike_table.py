@@ -202,6 +202,13 @@ def test_comparison_is_the_difference(
     assert run(monkeypatch, "compare", one, two, "--remove", "tilt,coma") == 0
     assert "mean 0.000 rad" in capsys.readouterr().out
     other = tmp_path / "other.nc"
+    with xr.open_dataset(two) as found:
+        found.assign_attrs(removed="tilt, coma").to_netcdf(other)
+    assert run(monkeypatch, "compare", one, other, "--remove", "tilt") == 0
+    shown = capsys.readouterr().out
+    assert "mean 0.000 rad" in shown
+    assert "without tilt, coma" in shown
+    other.unlink()
     reconstruct(monkeypatch, spots, other, "--set", "field.view_rows=2", "--set", "field.view_spacing_m=1e-4")
     capsys.readouterr()
     assert run(monkeypatch, "compare", one, other) == 2
