@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 from app.acquisition.watchdog_light import WatchdogLight
 from app.bench.config import Bench, check_device
@@ -22,6 +22,8 @@ from simulated_devices.clock import Clock
 from simulated_devices.rendering import Scene
 
 _PITCH_TOLERANCE = 0.01
+
+OpenDevices: TypeAlias = Callable[[Bench, Callable[[float], None]], Devices]  # `open_devices`, or what replaces it
 
 
 def open_devices(bench: Bench, progress: Callable[[float], None]) -> Devices:

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -20,16 +21,18 @@ _SKIPPING_S = 0.5  # time limit for skipping frames that arrive faster than they
 _CLOCK_DRIFT = 5e-4  # rate of the camera's clock relative to this computer's, at most
 _OLD_S = 0.1  # an older frame is skipped if there is a newer one
 
+Sink: TypeAlias = Callable[[Measurement], object]  # receives measurements
+
 
 class FramePath:
     """Reads and reconstructs frames; every result goes to the sinks, the newest to the mailbox."""
 
     def __init__(
         self,
-        sinks: tuple[Callable[[Measurement], None], ...],
+        sinks: tuple[Sink, ...],
         timings: Timings,
         must_stop_waiting: Callable[[Instrument], bool],
-        on_show: Callable[[Measurement], object] = lambda _: None,
+        on_show: Sink = lambda _: None,
     ) -> None:
         """`must_stop_waiting` is polled every 5 ms in a wait for a frame; `on_show` receives the frames of `show`."""
         self.sinks, self._timings, self._must_stop_waiting = sinks, timings, must_stop_waiting

@@ -87,6 +87,7 @@ class Status:
     lattice: Lattice | None
     warning: str  # why wavefronts are missing or doubtful; empty if they are good
     mask_note: str = ""  # which deformations the mask hides; empty if it shows all
+    method: str = ""  # of the registration, as the settings or the reference have chosen it; empty without a reference
     is_calibrated: bool = False  # frames can be reconstructed
     has_background_estimator: bool = False  # of layers or a correction, which the first frames show
     processes: tuple[ProcessState, ...] = ()  # that were started for it
@@ -144,10 +145,8 @@ class Instrument:
         self._timings = timings or Timings()
         self._recorder = recorder or Recorder(self._timings)
         self.bench = bench  # with the current settings
-        self.darks, self.references = (
-            DarkReferenceStore("dark", is_lit=False),
-            DarkReferenceStore("reference", is_lit=True),
-        )
+        self.darks = DarkReferenceStore("dark", is_lit=False)
+        self.references = DarkReferenceStore("reference", is_lit=True)
         self._modes: dict[tuple[str, int], tuple[float, float]] = {}  # exposure and gain by amplifier and speed
         self._lattice = bench.lattice
         self._replaced: _Replaced | None = None
@@ -210,6 +209,7 @@ class Instrument:
             lattice=self._lattice if is_counted else None,
             warning=light.off_reason or problem or of_dark or of_reference or self._search_problem or judged.sentence,
             mask_note="" if estimator is None else mask_sentence(estimator.reconstructor),
+            method="" if estimator is None else estimator.reconstructor.registration.method,
             is_calibrated=estimator is not None,
             has_background_estimator=self._solver is not None and self._solver.has_background_estimator,
             processes=self.processes(),

@@ -19,7 +19,7 @@ from typing import ParamSpec, TypeVar
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
 from app.acquisition.commands import Commands
-from app.acquisition.frame_path import FramePath, read_frame
+from app.acquisition.frame_path import FramePath, Sink, read_frame
 from app.acquisition.instrument import Activity, Instrument, ProcessState, Status
 from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench
@@ -29,7 +29,7 @@ from app.measurement.routines import Cancelled, RoutineCallbacks
 from app.progress import run_in_thread
 from app.recording.recorder import Recorder, RecordingLimit, RecordingState
 from app.timing import StageTimes, TimedStage, Timings
-from drivers.interface import DeviceError, Devices, Frame, LightSource, OffCount
+from drivers.interface import DeviceError, Frame, LightSource, OffCount
 from reconstruction.runtime.threads import one_blas_thread
 
 T = TypeVar("T")
@@ -59,9 +59,9 @@ class Acquisition(Commands):
     def __init__(
         self,
         bench: Bench,
-        open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
+        open_devices: bench_devices.OpenDevices | None = None,
         *,
-        sinks: tuple[Callable[[Measurement], None], ...] = (),
+        sinks: tuple[Sink, ...] = (),
         publisher: Publisher | None = None,
     ) -> None:
         """`sinks` receive every measurement; a `publisher` writes a ring for clients."""

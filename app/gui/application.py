@@ -12,10 +12,9 @@ from app.acquisition.address import CLOSING_S, NAME
 from app.acquisition.remote.connection import RunningInstrument
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
-from app.bench.config import Bench
 from app.cache import loading, share_memory_of_threads
 from app.errors import SHOWN, Interrupted, RunError, ended_by
-from app.gui.shell.main_window import WINDOW_SIZE, MainWindow
+from app.gui.shell.main_window import WINDOW_SIZE, MainWindow, MakeFor
 from app.gui.shell.state import apply_preferences, saved_state
 from app.gui.shell.status_text import left_behind
 from app.gui.shortcut import take_identity
@@ -33,7 +32,7 @@ def run_window(
     open_first: Callable[[MainWindow], object],
     *,
     steps: Callable[[MainWindow], Iterator[object]] | None = None,
-    make_for: Callable[[Bench], RunningInstrument] = Acquisition,
+    make_for: MakeFor = Acquisition,
     name: str = NAME,
 ) -> int:
     """Run the window until it closes, and return the exit status.

@@ -118,11 +118,8 @@ def _stars(source: Source, size_m: float) -> Openings:
     diameter_m, spacing_m = source.pinhole_diameter_m * scale, source.star_spacing_m * scale
     if diameter_m == 0:
         raise InputError("the pinholes of stars have no width: set simulation.source.pinhole_diameter_m")
-    places_m = [
-        (x_m, y_m)
-        for y_m in centered_steps(source.star_rows) * spacing_m
-        for x_m in centered_steps(source.star_columns) * spacing_m
-    ]
+    across_m, down_m = (centered_steps(count) * spacing_m for count in (source.star_columns, source.star_rows))
+    places_m = [(x_m, y_m) for y_m in down_m for x_m in across_m]
     gap_m = spacing_m - diameter_m if len(places_m) > 1 else None
     if gap_m is not None and gap_m <= 0:
         raise InputError("the pinholes of stars overlap: set simulation.source.star_spacing_m above their diameter")

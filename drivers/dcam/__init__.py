@@ -9,6 +9,8 @@ from typing_extensions import Doc
 
 from drivers.camera import ExposureSetting, PitchSetting, RegionSetting
 
+Output = Literal["low", "exposure", "programmable", "trigger ready", "high"]
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DcamSettings:
@@ -34,12 +36,7 @@ class DcamSettings:
     trigger_active: Literal["edge", "level", "synchronous"] | None = None
     trigger_polarity: Literal["negative", "positive"] | None = None
     trigger_delay_s: Annotated[float, Ge(0), Le(86_400)] | None = None
-    output: (
-        Annotated[
-            Literal["low", "exposure", "programmable", "trigger ready", "high"], Doc("Signal at the first output")
-        ]
-        | None
-    ) = None
+    output: Annotated[Output, Doc("Signal at the first output")] | None = None
     output_polarity: Literal["negative", "positive"] | None = None
     cooler: Literal["off", "on", "max"] | None = None
     ring_frames: Annotated[int, Ge(4), Le(10000), Doc("Frames buffered before the oldest is overwritten")] = 128

@@ -4,10 +4,10 @@ Limits and modes are queried after each change of mode; nothing about a camera i
 """
 
 import math
-import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from ctypes import byref
+from time import perf_counter
 
 from drivers.camera import INTERNAL, NOT_STARTED, Camera, CameraCapabilities, Frame, Region
 from drivers.dcam import DcamSettings
@@ -40,11 +40,7 @@ class DcamCamera(Camera):
     """An open camera; `clock` gives the host time of frames and measures timeouts."""
 
     def __init__(
-        self,
-        settings: DcamSettings,
-        *,
-        library: DcamLibrary | None = None,
-        clock: Callable[[], float] = time.perf_counter,
+        self, settings: DcamSettings, *, library: DcamLibrary | None = None, clock: Callable[[], float] = perf_counter
     ) -> None:
         super().__init__()
         self._settings = settings

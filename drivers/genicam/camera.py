@@ -199,7 +199,7 @@ class GenicamCamera(Camera):
 
     def _frame(self, buffer: int) -> Frame:
         """Copy a frame out of its buffer; raise `FrameLost` if packets are missing."""
-        rows, columns = self.capabilities.rows, self.capabilities.columns
+        rows, columns = shape = self.capabilities.rows, self.capabilities.columns
         size, padding = c_size_t(), c_int()
         address = self._aravis.call("arv_buffer_get_data", buffer, byref(size))
         status = self._aravis.call("arv_buffer_get_status", buffer)
@@ -211,11 +211,7 @@ class GenicamCamera(Camera):
             raise FrameLost(f"a frame arrived incomplete, the {self._incomplete}. so far: packets were lost")
         sent_s = self._aravis.call("arv_buffer_get_system_timestamp", buffer) / 1e9
         pixels = frames.copied_pixels(
-            address,
-            (rows, columns),
-            row_padding_bytes=padding.value,
-            pixel_format=self._format,
-            byte_order=self._byte_order,
+            address, shape, row_padding_bytes=padding.value, pixel_format=self._format, byte_order=self._byte_order
         )
         self._observe_saturation(pixels)
         host_time_s = time.perf_counter()

@@ -84,12 +84,10 @@ class MicroManagerCamera(Camera):
 
     def properties(self) -> dict[str, Property]:
         """All settings in force, versions, and every property of the adapter by its name."""
-        details = super().properties()
+        details = super().properties() | {"frame numbers": _NUMBERS_NOTE}
         with self._access():
-            details |= {"frame numbers": _NUMBERS_NOTE}
-            details |= {
-                "Micro-Manager": f"{self._adapter.call('getVersionInfo')}, {self._adapter.call('getAPIVersionInfo')}"
-            }
+            versions = (self._adapter.call(name) for name in ("getVersionInfo", "getAPIVersionInfo"))
+            details["Micro-Manager"] = ", ".join(versions)
             if not self._is_started:
                 self._read_details()
         return details | self._details

@@ -19,6 +19,7 @@ from zmq.utils.monitor import recv_monitor_message
 
 from app.acquisition.address import DYING_S, NAME, Address, clear_abandoned
 from app.acquisition.commands import Commands
+from app.acquisition.frame_path import Sink
 from app.acquisition.instrument import Activity, ProcessState, Status
 from app.acquisition.remote.frames import RemoteFrames
 from app.acquisition.remote.messages import Answer, Bye, Hello, NewStatus, State
@@ -45,9 +46,7 @@ _LINGER_MS = 200  # for the last messages
 _SHOWN_S = 0.04  # between two measurements for a mailbox: as often as a window shows one
 
 
-def reach(
-    what: str, name: str = NAME, *, sinks: tuple[Callable[[Measurement], None], ...] = (), takes_control: bool = True
-) -> "Connection":
+def reach(what: str, name: str = NAME, *, sinks: tuple[Sink, ...] = (), takes_control: bool = True) -> "Connection":
     """Connect to the instrument of a name, and wait for its state; `RunError` if none answers."""
     connection = Connection(what, Address.of(name), sinks, takes_control=takes_control)
     connection.wait()
@@ -89,12 +88,7 @@ class Connection(Commands):
     _retakes_control = False  # if this client was silent for too long, and nobody else has control
 
     def __init__(
-        self,
-        what: str,
-        address: Address,
-        sinks: tuple[Callable[[Measurement], None], ...] = (),
-        *,
-        takes_control: bool = True,
+        self, what: str, address: Address, sinks: tuple[Sink, ...] = (), *, takes_control: bool = True
     ) -> None:
         """Begin to connect, as `what`; with `takes_control`, take control if nobody has it."""
         number = next(_COUNT)

@@ -17,6 +17,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from app.acquisition.frame_path import Sink
 from app.acquisition.serialization import unpacked
 from app.acquisition.streams.messages import DETAILS, OF_DISPLACEMENT, OwnFrame
 from app.acquisition.streams.ring import RingReader
@@ -44,7 +45,7 @@ Ask: TypeAlias = Callable[[str, int], Future[Any]]
 class RemoteFrames:
     """Reads the ring of an instrument: every newest measurement goes to the sinks, and lies in `newest`."""
 
-    def __init__(self, ask: Ask, sinks: tuple[Callable[[Measurement], None], ...], pause_s: float) -> None:
+    def __init__(self, ask: Ask, sinks: tuple[Sink, ...], pause_s: float) -> None:
         """A pause follows each measurement."""
         self._ask, self._sinks, self._pause_s = ask, sinks, pause_s
         self.ring_name = ""  # of the instrument's present ring, once known

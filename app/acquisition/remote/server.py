@@ -21,6 +21,7 @@ import zmq
 from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
 from app.acquisition.commands import Commands
+from app.acquisition.devices import OpenDevices
 from app.acquisition.instrument import Status
 from app.acquisition.remote.messages import Answer, Bye, Command, Hello, NewStatus, State, portable_error, watching
 from app.acquisition.serialization import MOST_BYTES, encoded, unpacked
@@ -32,7 +33,6 @@ from app.bench.settings_schema import fits
 from app.errors import RunError
 from app.progress import run_in_thread
 from drivers.errors import BadValue, WrongState
-from drivers.interface import Devices
 
 _STATE_S = 0.2  # between two states, and two looks at the size of the log
 _SILENT_S = 5.0  # after which a client counts as gone
@@ -54,12 +54,7 @@ class _Client:
 class Server:
     """An acquisition with its clients; `run` serves them in the calling thread."""
 
-    def __init__(
-        self,
-        bench: Bench,
-        address: Address,
-        open_devices: Callable[[Bench, Callable[[float], None]], Devices] | None = None,
-    ) -> None:
+    def __init__(self, bench: Bench, address: Address, open_devices: OpenDevices | None = None) -> None:
         """Open the socket of the address; `RunError` if that fails."""
         self._wakeup = WakeupPipe()
         self._frames = Publisher(bench, file_of(address.name, "ring"), self._hurry)

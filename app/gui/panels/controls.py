@@ -243,7 +243,7 @@ class ControlsPanel(Panel):
         status, wavefront = self.shown.status, self.shown.wavefront
         if status is None:
             return "Method"
-        parts = [name_of(status.bench.registration.named_method)]
+        parts = [name_of(status.method or status.bench.registration.named_method)]
         if wavefront is not None:
             count, coefficients = wavefront.displacement.modes.count, wavefront.coefficients
             parts += [name for name, modes in FIELD_MODES.items() if modes == count]

@@ -61,7 +61,9 @@ class LayersPanel(Panel):
         super().__init__(shown)
         self._scale = AdaptiveScale()
         modes = (("Find one layer", 1), ("Find two layers", 2))
-        self.mode = Choice("Search for one or two layers every few seconds", modes, self._search_again)
+        self.mode = Choice(
+            "Search for one or two layers every few seconds", modes, lambda: self.sentence.setText(_SEARCHING)
+        )
         about = (
             "Where distances are measured from: lenslets, in the collimated beam, or mask.\n"
             "From the lenslets, negative distances lie behind them; there is no distance from the mask there."
@@ -131,9 +133,6 @@ class LayersPanel(Panel):
             at = (place, f"{at_m * 1e3:.1f} mm")
             captions[0, index] = (at, wide)
         self.map.set_captions(captions)
-
-    def _search_again(self) -> None:
-        self.sentence.setText(_SEARCHING)
 
 
 def _misfit(found: xr.Dataset, model: str) -> float:

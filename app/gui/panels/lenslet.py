@@ -58,7 +58,6 @@ class LensletPanel(Panel):
         self.lenslet: tuple[int, int] | None = None  # row and column
         self._top, self._most = AdaptiveScale(), AdaptiveScale()  # of light and residual, counts
         self._state = ""  # of the lenslet
-        self._badge = ""  # as shown
         self.name = ElidedLabel("title")
         self.numbers, self.quality = ElidedLabel(lines=2), ElidedLabel(lines=2)
         images = _Images()
@@ -86,10 +85,7 @@ class LensletPanel(Panel):
         self.select(None)
 
     def show_numbers(self) -> None:
-        shown = self.shown.data_freshness
-        if shown.badge != self._badge:
-            self._badge = shown.badge
-            self._show_state(self._state)
+        self._show_state(self._state)
 
     def show_nothing(self) -> None:
         """Show the last inspection in grey: the newest frame has no wavefront, or no reference."""
@@ -126,7 +122,7 @@ class LensletPanel(Panel):
     def _show_state(self, state: str) -> None:
         self._state = state
         name = "" if self.lenslet is None else "Lenslet row {}, column {}".format(*self.lenslet)
-        parts = (": ".join(filter(None, (name, state))), self._badge)
+        parts = (": ".join(filter(None, (name, state))), self.shown.data_freshness.badge)
         self.name.setText("    ".join(filter(None, parts)))
 
     def _grey(self, *, is_grey: bool) -> None:

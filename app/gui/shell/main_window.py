@@ -54,6 +54,7 @@ from drivers.light_source import MAY_BE_ON
 
 WINDOW_SIZE = QSize(1440, 900)  # unless the screen is smaller
 _FRAME_PX = 2  # of the red frame
+MakeFor = Callable[[Bench], RunningInstrument]  # makes the acquisition of a bench
 _REFRESHES_PER_TEXT = 5  # numbers that change more often than five times a second cannot be read
 
 
@@ -66,13 +67,7 @@ class MainWindow(QMainWindow):
 
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
-    def __init__(
-        self,
-        *,
-        saved: QSettings | None = None,
-        make_for: Callable[[Bench], RunningInstrument] = Acquisition,
-        name: str = NAME,
-    ) -> None:
+    def __init__(self, *, saved: QSettings | None = None, make_for: MakeFor = Acquisition, name: str = NAME) -> None:
         """Make an empty window.
 
         `make_for` makes the acquisition of a bench that is opened in the window, where the instrument has a `name`. The
@@ -108,13 +103,7 @@ class MainWindow(QMainWindow):
         self.replay = ReplayBar(self.controls, self.messages.warn)
         self.analyses = Analyses(self.panels, self.shown)
         self._lay_out()
-        self.benches = Benches(
-            self,
-            lambda bench: self.open(InstrumentFactory(partial(make_for, bench))),
-            self.controller,
-            self.settings,
-            saved,
-        )
+        self.benches = Benches(self, self._open_bench, self.controller, self.settings, saved)
         self._connect()
         fill_menus(self.menu_bar, self._menus(), self._ask_while_recording)
         is_restored = saved is not None and restore_state(saved, self)
@@ -243,11 +232,14 @@ class MainWindow(QMainWindow):
             attach = InstrumentFactory(partial(reach, "window", self._name), begin=lambda _: ())
             self.messages.ask(str(error), partial(self.open, attach), "Attach", "Not now")
         elif isinstance(error, NotRunning) and status is not None:
-            here = InstrumentFactory(partial(self._make_for, status.bench_in_force))
-            self.messages.ask(f"{error}, or start it here", partial(self.open, here), "Start it here", "Not now")
+            here = partial(self._open_bench, status.bench_in_force)
+            self.messages.ask(f"{error}, or start it here", here, "Start it here", "Not now")
         else:
             self.messages.warn(str(error))
         self.update_text()
+
+    def _open_bench(self, bench: Bench) -> None:
+        self.open(InstrumentFactory(partial(self._make_for, bench)))
 
     def open(self, access: InstrumentFactory) -> None:
         """Close the devices and connect others.

@@ -43,6 +43,8 @@ _NAME_TIP = "Appended to the name of the folder when the recording is finished"
 _CUT_OFF = "its instrument has died: Recover completes it"
 _FOLDER = "folders/recordings"  # key of the saved state
 
+Command = tuple[str | Path, ...]  # and its arguments
+
 
 class RecordingPanel(QWidget):
     """Buttons, and the state of the recording."""
@@ -397,12 +399,7 @@ class RecordingBar(QFrame):
             self._run(self.export, command, f"exporting {folder.name}", f"exported to {name}")
 
     def _run(
-        self,
-        by: Button,
-        command: tuple[str | Path, ...],
-        begin: str,
-        end: str,
-        then: Callable[[], object] = lambda: None,
+        self, by: Button, command: Command, begin: str, end: str, then: Callable[[], object] = lambda: None
     ) -> None:
         """Run a command of svwfs in another process; meanwhile its button `by` is grey and shows the progress.
 

@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QComboBox, QPushButton, QStyle, QStyledItemDelegate,
 from app.bench.settings_form import name_of
 
 Slot = Callable[..., object] | pyqtBoundSignal
+Items = Iterable[str | tuple[str, object]]  # texts of a choice, some with data
 ENTER = (Qt.Key.Key_Return, Qt.Key.Key_Enter)
 _COMBO = QStyle.ComplexControl.CC_ComboBox
 _CURSOR_PX = 2  # that Qt leaves next to a chosen text
@@ -64,15 +65,8 @@ def checkable(
 class Choice(QComboBox):
     """A choice that Space opens and the wheel changes only with the focus, which a click does not give."""
 
-    def __init__(
-        self,
-        tool_tip: str = "",
-        items: Iterable[str | tuple[str, object]] = (),
-        changed: Slot | None = None,
-        *,
-        key: str = "",
-    ) -> None:
-        """Offer texts, some with data; call `changed` when another is current. `key`: see `checkable`."""
+    def __init__(self, tool_tip: str = "", items: Items = (), changed: Slot | None = None, *, key: str = "") -> None:
+        """Offer `items`; call `changed` when another is current. `key`: see `checkable`."""
         super().__init__()
         self.setItemDelegate(QStyledItemDelegate(self))  # Qt's own paints all items like a wanted value
         if (listed := self.view()) is not None:

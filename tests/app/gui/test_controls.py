@@ -12,6 +12,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 from support.gui_bench import FakeCamera
+from support.patience import HANG_S
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.command_queue import CommandQueue
@@ -22,7 +23,7 @@ from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.averages import AVERAGED_FRAMES
-from reconstruction.settings import Method, PupilBasis
+from reconstruction.settings import Method, PupilBasis, RegistrationSettings
 
 
 @pytest.mark.slow
@@ -195,6 +196,16 @@ def test_refused_value_is_shown_and_loop_continues(live: tuple[MainWindow, FakeC
     shown = window.status_line.shown
     qtbot.waitUntil(lambda: window.status_line.shown > shown + 3)
     assert camera.exposure_s == 0.02
+
+
+def test_method_that_the_reference_chose_is_shown(live: tuple[MainWindow, FakeCamera], qtbot: QtBot) -> None:
+    window, _ = live
+    assert window.controller.acquisition is not None
+    change = "registration", RegistrationSettings()
+    window.controller.acquisition.change_settings([change]).result(HANG_S)
+    assert window.controller.status is not None
+    assert window.controller.status.bench.registration.named_method == "automatic"
+    qtbot.waitUntil(lambda: window.controls.method.text().startswith("Method: Gauss-Newton"))
 
 
 def test_no_method_is_shown_as_a_word_of_code() -> None:
