@@ -17,7 +17,7 @@ from support.patience import HANG_S
 
 VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
 EXTRAS = {  # by what they make possible
-    "batch": "bokeh, distributed",
+    "batch": "distributed",
     "genicam": "drivers.genicam._library",
     "mask": "ezdxf, gdstk",
     "micro-manager": "pymmcore, drivers.micro_manager._core",

@@ -24,22 +24,21 @@ _SCHEMES = {"tcp", "tls", "ws", "wss", "ucx"}  # of Dask's addresses
 _LEAST_WAITING = 16  # tasks at the scheduler; more would only delay Ctrl-C
 _CLOSE_S = 30
 _ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
-_CONFIGURATION = {
+_CONFIGURATION: dict[str, Any] = {
     f"{_ENVIRONMENT}.MALLOC_TRIM_THRESHOLD_": None,  # Dask's maps every array of a frame anew: half the speed
     f"{_ENVIRONMENT}.MALLOC_ARENA_MAX": 1,  # an arena for each thread takes a hundred megabytes more
     # Dask drops a worker that restarts too slowly.
     "distributed.deploy.lost-worker-timeout": "365 days",
+    "distributed.scheduler.http.routes": [],  # no pages, which every user of this computer could read
+    "distributed.worker.http.routes": [],
 }
-_NO_PAGES: dict[str, list[str]] = {f"distributed.{each}.http.routes": [] for each in ("scheduler", "worker")}
 
 
 class Workers:
     """Evaluates tasks on the workers of a scheduler; see `app.progress.Evaluate`."""
 
-    def __init__(self, client: Client, *, has_dashboard: bool = False) -> None:
-        """Without `has_dashboard`, its address stays empty."""
+    def __init__(self, client: Client) -> None:
         self._client = client
-        self.dashboard = str(client.dashboard_link or "") if has_dashboard else ""  # address in a browser; "": none
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
         """Yield each item with its result or error, as they finish.
@@ -87,12 +86,11 @@ def _outcome(future: Any) -> Any:
 
 
 @contextmanager
-def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = False) -> Iterator[Workers]:
+def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
     """Start `count` workers, by default one for each core, or connect to the scheduler at an address.
 
-    Processes started here accept only connections with a certificate of this run (TLS), and serve a dashboard on this
-    computer only with `has_dashboard`. `InputError` if Dask is not installed, or both are given, `RunError` if there is
-    no scheduler at the address.
+    Processes started here accept only connections with a certificate of this run (TLS). `InputError` if Dask is not
+    installed, or both are given, `RunError` if there is no scheduler at the address.
     """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses the workers of a cluster: give one option")
@@ -108,13 +106,13 @@ def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = F
         raise InputError("workers need Dask: install the extra svwfs[batch]") from error
     with ExitStack() as stack:
         if scheduler is None:
-            stack.enter_context(dask.config.set(_CONFIGURATION if has_dashboard else _CONFIGURATION | _NO_PAGES))
+            stack.enter_context(dask.config.set(_CONFIGURATION))
             cluster = LocalCluster(
                 n_workers=count,
                 threads_per_worker=1,
                 security=security,
                 dashboard_address="127.0.0.1:0",
-                scheduler_kwargs={"dashboard": has_dashboard},
+                scheduler_kwargs={"dashboard": False},
                 silence_logs=logging.CRITICAL,
                 preload="app.batch.run",
             )
@@ -124,7 +122,7 @@ def workers(count: int | None, scheduler: str | None, *, has_dashboard: bool = F
         except (OSError, TimeoutError, ValueError) as error:
             raise RunError(f"{scheduler}: no scheduler can be reached there: {in_words(error)}") from error
         stack.callback(_close, client)
-        yield Workers(client, has_dashboard=has_dashboard)
+        yield Workers(client)
 
 
 def _check_address(scheduler: str) -> None:

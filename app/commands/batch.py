@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from app.commands import options, terminal
-from app.errors import InputError, RunError
+from app.errors import RunError
 from app.progress import counted
 
 if TYPE_CHECKING:
@@ -31,7 +30,6 @@ def batch(
     ] = 0,
     workers: options.Workers = None,
     scheduler: options.Scheduler = None,
-    dashboard: options.Dashboard = False,
 ) -> None:
     """Reconstruct many recordings in parallel into one Zarr store.
 
@@ -44,7 +42,7 @@ def batch(
 
     Example: svwfs batch run1 --refine 3 --scheduler tcp://node1:8786 --out refined.zarr
     """
-    _require_recording(recordings)
+    options.check_recordings(*recordings)
     from app.batch.run import check_batch, run_batch
     from app.batch.store import BatchJob
     from app.batch.workers import workers as start
@@ -54,26 +52,13 @@ def batch(
     other = "" if bench is None else write_bench(load_bench(bench, settings))
     job = BatchJob(bench=other, settings=() if other else settings, rounds=refine, frames=frames or "")
     check_batch(recordings, out, job)
-    with start(workers, scheduler, has_dashboard=dashboard) as evaluate, terminal.progress_bar() as progress:
-        if evaluate.dashboard:
-            typer.echo(f"dashboard: {evaluate.dashboard}", err=True)
+    with start(workers, scheduler) as evaluate, terminal.progress_bar() as progress:
         done = run_batch(recordings, out, job, evaluate, progress)
     print_batch(done, out)
     if done.failed:
         raise RunError(f"{len(done.failed)} of {done.recordings} recordings failed")
     if lost := sum(map(len, done.damaged.values())):
         raise RunError(f"{counted(lost)} damaged and left out")
-
-
-def _require_recording(folders: list[Path]) -> None:
-    """Raise `InputError` if none of these folders holds a recording, before the slow imports."""
-    from app.recording.folder import read_run
-
-    for folder in folders:
-        with suppress(InputError):
-            read_run(folder)
-            return
-    read_run(folders[0])
 
 
 def print_batch(batch: Batch, out: Path) -> None:

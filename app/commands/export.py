@@ -38,7 +38,7 @@ def export(
     if source.is_file() and to != "csv":
         raise InputError(f"{source}: of a results file only --to csv can be written: give the recording")
     if not source.is_file():
-        options.check_recording(source)
+        options.check_recordings(source)
     options.check_files(out, sources=[source], suffixes=EXPORT_FORMATS[to][1], overwrite=overwrite)
     with terminal.analysing(source, out) as progress:
         count = export_recording(source, to, out, frames, progress, order=order)

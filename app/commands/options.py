@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -77,9 +78,6 @@ Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
 ]
-Dashboard = Annotated[
-    bool, typer.Option("--dashboard", help="Serve Dask's dashboard of these workers, readable by all users here.")
-]
 
 Trust = Annotated[
     bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")
@@ -109,11 +107,15 @@ def files_of_bench(bench: str, loaded: config.Bench) -> tuple[Path, ...]:
     return (bench_file(bench), *loaded.files)
 
 
-def check_recording(folder: Path) -> None:
-    """Refuse a folder without a recording, before anything is loaded that takes seconds."""
+def check_recordings(*folders: Path) -> None:
+    """Refuse folders of which none holds a recording, before anything is loaded that takes seconds."""
     from app.recording.folder import read_run
 
-    read_run(folder)
+    for folder in folders[1:]:
+        with suppress(InputError):
+            read_run(folder)
+            return
+    read_run(folders[0])
 
 
 def files_of_images(*images: Path | None) -> list[Path]:

@@ -37,7 +37,7 @@ def replay(
 
     Example: svwfs replay run1 --set reconstruction.method=zonal
     """
-    options.check_recording(recording)
+    options.check_recordings(recording)
     from app.recording.reader import Recording
     from app.results.replay import change_of, changed_bench
     from app.results.replay import replay as run

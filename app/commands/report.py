@@ -34,7 +34,7 @@ def report(
     Example: svwfs report result.nc --out result.png
     """
     if not source.is_file():
-        options.check_recording(source)
+        options.check_recordings(source)
     elif setting or frames:
         raise InputError(f"{source}: has no frames to reconstruct again: leave --set and --frames out")
     options.check_files(out, sources=[source], overwrite=overwrite)

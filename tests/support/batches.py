@@ -50,8 +50,6 @@ def batch(
 class Counting:
     """Evaluates in this process, and counts the items; `after` is called with the number of results."""
 
-    dashboard = "none"
-
     def __init__(self, after: Callable[[int], None] = lambda _: None) -> None:
         self._after = after
         self.items = 0
