@@ -18,19 +18,14 @@ def documentation() -> Path | None:
 def entries() -> dict[str, str]:
     """Return the text of each entry of troubleshooting, by its anchor; none if the documentation is missing."""
     folder = documentation()
-    return {} if folder is None else _entries(folder / TROUBLES)
+    text = "" if folder is None else (folder / TROUBLES).read_text("utf-8")
+    sections = (section.partition("\n## ")[0] for section in text.split("\n### ")[1:])
+    return {anchor_of(section.partition("\n")[0]): section for section in sections}
 
 
 def entry_of(message: str) -> str:
     """Return the anchor of the entry that quotes the most characters of a message; empty if none does."""
-    quotes = _quotes(folder / TROUBLES) if (folder := documentation()) else []
-    return max(((size, anchor) for size, anchor, pattern in quotes if pattern.search(message)), default=(0, ""))[1]
-
-
-@cache
-def _entries(page: Path) -> dict[str, str]:
-    sections = (section.partition("\n## ")[0] for section in page.read_text("utf-8").split("\n### ")[1:])
-    return {anchor_of(text.partition("\n")[0]): text for text in sections}
+    return max(((size, anchor) for size, anchor, pattern in _quotes() if pattern.search(message)), default=(0, ""))[1]
 
 
 def anchor_of(heading: str) -> str:
@@ -39,10 +34,10 @@ def anchor_of(heading: str) -> str:
 
 
 @cache
-def _quotes(page: Path) -> list[tuple[int, str, re.Pattern[str]]]:
+def _quotes() -> list[tuple[int, str, re.Pattern[str]]]:
     """Number of fixed characters, anchor and pattern of each quoted message: what is in backticks below a heading."""
     return [
         (len(quote), anchor, re.compile(re.escape(quote).replace(re.escape("..."), ".*?"), re.IGNORECASE | re.DOTALL))
-        for anchor, text in _entries(page).items()
+        for anchor, text in entries().items()
         for quote in re.findall(r"`([^`]+)`", text.partition("\n\n")[2].partition("\n\n")[0])
     ]

@@ -129,5 +129,5 @@ def test_unknown_names_are_refused(images: SimulatedFrames) -> None:
     reconstruct = svwfs.reconstructor(FIXED, images.reference, dark=images.dark)
     with pytest.raises(ReconstructionError, match="there is no registration method no_such: it must be one of"):
         prepare_registration(
-            reconstruct._prepared().reconstructor.subimages, RegistrationSettings(method=unknown), FIXED.field
+            reconstruct.estimator().reconstructor.subimages, RegistrationSettings(method=unknown), FIXED.field
         )

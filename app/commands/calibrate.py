@@ -195,7 +195,7 @@ def summary(calibrated: CalibratedBench) -> list[str]:
 
 def differences(calibrated: CalibratedBench) -> list[str]:
     """Return the differences to the bench as given, one sentence each."""
-    sensor, seen, before = calibrated.design.sensor, calibrated.survey, calibrated.design.lattice
+    sensor, seen = calibrated.design.sensor, calibrated.survey
     sentences = []
     off = seen.lattice.pitch_px / sensor.lenslet_pitch_px - 1
     if abs(off) > _NOTEWORTHY:
@@ -206,15 +206,6 @@ def differences(calibrated: CalibratedBench) -> list[str]:
         sentences.append(
             f"the frame shows {seen.rows} x {seen.columns} lenslets with light, the bench has"
             f" lenslet_rows = {sensor.lenslet_rows}, lenslet_columns = {sensor.lenslet_columns}"
-        )
-    if before is not None:
-        moved_px = math.hypot(
-            seen.lattice.center_x_px - before.center_x_px, seen.lattice.center_y_px - before.center_y_px
-        )
-        turned_mrad = (seen.lattice.rotation_rad - before.rotation_rad) * 1e3
-        sentences.append(
-            f"the bench's own lattice lies {moved_px:.3f} px away; the one found is turned from it by"
-            f" {turned_mrad:+z.3f} mrad, and its pitch differs by {seen.lattice.pitch_px - before.pitch_px:+z.4f} px"
         )
     return sentences + ([] if calibrated.mask_scale is None else calibrated.mask_scale.faults)
 

@@ -44,12 +44,8 @@ def layers(
     Example: svwfs layers run1 --layers 2 --from mask --out layers.nc
     """
     given = distance or []
-    if len(given) > _MOST:
-        raise InputError("give at most two distances")
-    if len(set(given)) < len(given):
-        raise InputError("two layers need two different distances")
-    if count == _MOST and len(given) == 1:
-        raise InputError("two layers need two distances, or none")
+    if len(given) > _MOST or len(set(given)) < len(given) or (count == _MOST and len(given) == 1):
+        raise InputError("give the distance of one layer, or the two different distances of two layers, or none")
     options.check_files(out, sources=[source], suffixes=(".nc",), plot=plot, overwrite=overwrite)
     with terminal.analysing(source, out) as progress:
         bench, found = layers_of_frame(

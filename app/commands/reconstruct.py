@@ -53,6 +53,7 @@ def reconstruct(
 
     Example: svwfs reconstruct f.fits --reference r.fits --bench b.toml --out r.nc --order fringe --remove tilt,defocus
     """
+    from app.measurement.estimator import mask_sentence, method_sentence
     from app.measurement.offline_reconstructor import OfflineReconstructor
     from app.results import zernike_table
     from app.results.coefficients import zernikes_of_views
@@ -74,10 +75,13 @@ def reconstruct(
     try:
         reconstructor = OfflineReconstructor(loaded, reference_image, dark=dark_image)
         wavefront, changes_rad = _refined(reconstructor, image, refine)
-        quality = reconstructor.quality(image, wavefront)
+        quality, prepared = reconstructor.quality(image, wavefront), reconstructor.estimator().reconstructor
         is_live = loaded.reconstruction.refine and not refine
-        live_note = "reconstruction.refine = true is for live frames: here give --refine N" * is_live
-        notes = (reconstructor.mask_sentence(wavefront), _size_note(loaded, image), live_note)
+        notes = (
+            mask_sentence(prepared, wavefront.sample),
+            _size_note(loaded, image),
+            "reconstruction.refine = true is for live frames: here give --refine N" * is_live,
+        )
     except ReconstructionError as error:
         paths = {"frame": frame, "dark": dark}
         raise InputError(f"{paths.get(error.image) or reference}: {error}") from error
@@ -93,8 +97,8 @@ def reconstruct(
     for note in filter(None, notes):
         terminal.remind(f"note: {note}")
     print_views(wavefront)
-    if reconstructor.method_sentence:
-        terminal.print_sentence(reconstructor.method_sentence)
+    if chosen := method_sentence(prepared):
+        terminal.print_sentence(chosen)
     rotation_rad = 0.0 if reconstructor.bench.lattice is None else reconstructor.bench.lattice.rotation_rad
     _print_zernikes(zernikes, wavefront, f", without {remove}" if remove else "", rotation_rad)
     if refine:
@@ -195,7 +199,7 @@ def print_views(wavefront: Wavefront) -> None:
     """Print RMS with error bar and PV of every view, valid lenslets, and the assumed sample."""
     from app.measurement.measurement import sample_sentence
     from app.results.dataset import rotation_of
-    from app.results.run_summary import rms_noise, rms_text
+    from app.results.run_summary import rms_over_lenslets, rms_text
     from reconstruction.wavefront import peak_to_valley, rms
 
     def cell(view: Floats, noise_rad: float) -> str:
@@ -204,7 +208,7 @@ def print_views(wavefront: Wavefront) -> None:
         text = rms_text(rms_rad, noise_rad)
         return text if rms_rad < noise_rad else f"{text}\nPV {peak_to_valley(view):.2f}"
 
-    noise_rad = rms_noise(wavefront)
+    noise_rad = rms_over_lenslets(wavefront.sigma())
     cells = ((cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
     terminal.print_by_view(
         wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells

@@ -40,11 +40,28 @@ class Calibration:
     own: OwnMethods = NO_OWN
 
     @classmethod
-    def of(cls, bench: Bench, reference: Average, *, dark: Average | None, full_scale: float) -> Calibration:
-        """Find the lattice in the reference unless it is configured; `ReconstructionError` if it shows none."""
-        bench, lattice = _located(bench, reference, dark, full_scale)
-        bench = _with_pupil(bench, reference, dark, lattice)
-        return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale)
+    def of(
+        cls,
+        bench: Bench,
+        reference: Average,
+        *,
+        dark: Average | None,
+        full_scale: float,
+        lattice: Lattice | None = None,
+        known: KnownNoise | None = None,
+    ) -> Calibration:
+        """Find lattice and pupil in the reference unless they are configured, or the `lattice` is known.
+
+        `ReconstructionError` if it shows none.
+        """
+        lattice = lattice or bench.lattice
+        if lattice is None:
+            found = surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale)
+            bench, lattice = replace(bench, sensor=found.sensor), found.lattice
+        light, background = reference.mean, _dark_like(reference.mean, dark)
+        lit = lit_lenslets(light - (light.min() if background is None else background), lattice, bench.sensor)
+        bench = replace(bench, sensor=bench.sensor.with_pupil(lit))
+        return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale, known=known)
 
     @classmethod
     def of_images(
@@ -58,10 +75,7 @@ class Calibration:
     ) -> Calibration:
         """Take a reference and a dark, (row, column), whose noise is unknown, and a `lattice` if it is known."""
         lit, unlit = Average.of_image(reference), None if dark is None else Average.of_image(dark)
-        if lattice is None:
-            bench, lattice = _located(bench, lit, unlit, full_scale)
-        bench, known = _with_pupil(bench, lit, unlit, lattice), KnownNoise()
-        return cls(bench=bench, dark=unlit, reference=lit, lattice=lattice, full_scale=full_scale, known=known)
+        return cls.of(bench, lit, dark=unlit, full_scale=full_scale, lattice=lattice, known=KnownNoise())
 
     @property
     def dark_image(self) -> Counts | None:
@@ -131,24 +145,9 @@ def _reconstructor(calibration: Calibration) -> Reconstructor:
     )
 
 
-def _located(bench: Bench, reference: Average, dark: Average | None, full_scale: float) -> tuple[Bench, Lattice]:
-    """Return the bench with its numbers of lenslets, and the lattice, which the reference shows if it is omitted."""
-    if bench.lattice is not None:
-        return bench, bench.lattice
-    found = surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale)
-    return replace(bench, sensor=found.sensor), found.lattice
-
-
 def surveyed(sensor: Sensor, reference: Average, *, dark: Average | None, full_scale: float) -> Survey:
     """Find the lenslets in a reference; `ReconstructionError` if it shows none."""
     return survey(reference.mean, sensor, dark=None if dark is None else dark.mean, full_scale=full_scale)
-
-
-def _with_pupil(bench: Bench, reference: Average, dark: Average | None, lattice: Lattice) -> Bench:
-    """Return the bench with the pupil of the lenslets that are lit in the reference, unless it is configured."""
-    light, background = reference.mean, _dark_like(reference.mean, dark)
-    lit = lit_lenslets(light - (light.min() if background is None else background), lattice, bench.sensor)
-    return replace(bench, sensor=bench.sensor.with_pupil(lit))
 
 
 @kept_while_alive(maxsize=4)  # each image is judged with them

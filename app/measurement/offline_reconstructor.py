@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from app.bench.config import Bench, as_bench
 from app.errors import InputError
 from app.measurement.calibration import Calibration
-from app.measurement.estimator import ROUNDS, Estimator, mask_sentence, method_sentence
+from app.measurement.estimator import ROUNDS, Estimator
 from reconstruction.arrays import Counts
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import KnownNoise, TransferCurve
@@ -188,7 +188,7 @@ class OfflineReconstructor:
 
     def prepare(self, frame: Counts) -> None:
         """Prepare everything with the noise that a frame (row, column), counts, shows."""
-        self._prepared(as_image(frame, "frame"))
+        self.estimator(as_image(frame, "frame"))
 
     def __call__(self, frame: Counts) -> Wavefront:
         """Return the wavefront of a frame (row, column), counts; `ReconstructionError` says why there is none."""
@@ -197,29 +197,20 @@ class OfflineReconstructor:
     def refined(self, frame: Counts, rounds: int, *, seen: Callable[[Round], object] = lambda _: None) -> Wavefront:
         """Refine the wavefront of a frame (row, column), counts; see `Estimator.solve`."""
         image = as_image(frame, "frame")
-        estimator = self._prepared(image)
+        estimator = self.estimator(image)
         with one_blas_thread():
             return estimator.solve(estimator.reconstructor.register(image), rounds=rounds, seen=seen)[0]
 
     def quality(self, frame: Counts, wavefront: Wavefront) -> Quality:
         """Judge a frame (row, column), counts, by its wavefront."""
-        return self._prepared().quality(as_image(frame, "frame"), wavefront.displacement)
-
-    def mask_sentence(self, wavefront: Wavefront) -> str:
-        """Say which displacements the mask hides, and what they follow from; empty if it shows all."""
-        return mask_sentence(self._prepared().reconstructor, wavefront.sample)
-
-    @property
-    def method_sentence(self) -> str:
-        """Say which registration the reference has chosen, and why; empty if the settings name it."""
-        return method_sentence(self._prepared().reconstructor)
+        return self.estimator().quality(as_image(frame, "frame"), wavefront.displacement)
 
     def layers(self, wavefront: Wavefront) -> FrameEquations:
         """Normal equations of a wavefront's displacements for layers at any distance."""
-        return self._prepared().reconstructor.layers(wavefront.displacement)
+        return self.estimator().reconstructor.layers(wavefront.displacement)
 
-    def _prepared(self, frame: Counts | None = None) -> Estimator:
-        """The estimator; prepared with the noise that a frame (row, column), counts, shows, by the first call."""
+    def estimator(self, frame: Counts | None = None) -> Estimator:
+        """Return the estimator, prepared by the first call with the noise that a frame (row, column), counts, shows."""
         if self._estimator is None:
             given = self._calibration
             known, full_scale = KnownNoise(curve=given.transfer_of(given.reference.mean)), given.full_scale

@@ -63,14 +63,6 @@ def rotation_sentence(found: Circulation) -> str:
     )
 
 
-def rms_noise(wavefront: Wavefront) -> Floats:
-    """RMS over the lenslets of the standard deviation of the wavefront, rad, (view_row, view_column).
-
-    A wavefront with a smaller RMS cannot be told from a flat one. NaN where the wavefront is unknown.
-    """
-    return rms_over_lenslets(wavefront.sigma())
-
-
 def rms_over_lenslets(sigma: Floats) -> Floats:
     """RMS of values (view_row, view_column, lenslet_row, lenslet_column) over the lenslets; NaN where all are NaN."""
     variance = sigma**2
@@ -85,7 +77,7 @@ def noise_above_rms(wavefront: Wavefront) -> float | None:
     shown_rad = mean_rms(wavefront.views)
     if not shown_rad < _WEAK_RAD:
         return None
-    noise_rad = float(np.sqrt(np.nanmean(rms_noise(wavefront) ** 2)))
+    noise_rad = float(np.sqrt(np.nanmean(rms_over_lenslets(wavefront.sigma()) ** 2)))
     return noise_rad if shown_rad < noise_rad else None
 
 
@@ -150,7 +142,7 @@ class Measured(FrameTally):
 
     @property
     def noise_rad(self) -> Floats:
-        """Noise of one frame, rad, (view_row, view_column); see `rms_noise`."""
+        """Noise of one frame, rad, (view_row, view_column); a wavefront with a smaller RMS may be flat."""
         return np.asarray(np.sqrt(self.means[2]))
 
     def take(self, made: Measurement, mask_note: str) -> Measurement:
@@ -162,7 +154,7 @@ class Measured(FrameTally):
             self.mask_note, self.rotation = mask_note, rotation_of(made.wavefront)
             self.rotating += self.rotation is not None and self.rotation.contradicts_layers
             values = rms(made.wavefront.views)
-            numbers = np.stack([values, values**2, rms_noise(made.wavefront) ** 2])
+            numbers = np.stack([values, values**2, rms_over_lenslets(made.wavefront.sigma()) ** 2])
             self.means = self.means + (numbers - self.means) / self.reconstructed
         return made
 

@@ -17,12 +17,11 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.bad_pixels import find_bad_pixels
 from reconstruction.frame.pixels import DarkSubtractor
 from reconstruction.frame.spline import interpolate
-from reconstruction.geometry import Sensor
-from reconstruction.modes.pupil_modes import PupilModes, pupil_modes
+from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_rad
 from reconstruction.quality.slope_residual import slope_residual
 from reconstruction.registration.subimages import ReferenceSubimages
-from reconstruction.settings import PupilBasis, ReconstructionSettings
+from reconstruction.settings import ReconstructionSettings
 from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
 
 
@@ -201,6 +200,4 @@ def _maps(
     return QuantityMaps(slope_residual(wavefront, _modes(wavefront.sensor, settings.basis, count)))
 
 
-@lru_cache(maxsize=2)
-def _modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    return pupil_modes(sensor, basis, count)
+_modes = lru_cache(maxsize=2)(pupil_modes)

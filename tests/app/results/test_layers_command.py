@@ -262,10 +262,10 @@ def test_command_files_hold_the_phase(tmp_path: Path) -> None:
     [
         (["layers", "--distance", "-9"], "lies outside the search range"),
         (["layers", "--distance", "0.1", "--distance", "0.1"], "two different distances"),
-        (["layers", "--distance", "1", "--distance", "2", "--distance", "3"], "at most two"),
+        (["layers", "--distance", "1", "--distance", "2", "--distance", "3"], "two different distances"),
         (["layers", "--frame", "7"], "there is no frame 7; frames are counted from 0, their number is 1"),
         (["layers", "--distance", "1e9"], "outside the search range, -4.8 ... 4.8 m from the lenslets"),
-        (["layers", "--layers", "2", "--distance", "0.1"], "two layers need two distances, or none"),
+        (["layers", "--layers", "2", "--distance", "0.1"], "the two different distances of two layers, or none"),
         (["corrector", "--out", "c.png"], "c.png: .png does not fit the format"),
         (["corrector", "--modes", "actuators", "--count", "20"], "square"),
         (["corrector", "--count", "900"], "2 ... 500"),
