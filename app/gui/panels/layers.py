@@ -60,6 +60,7 @@ class LayersPanel(Panel):
     def __init__(self, shown: DisplayState) -> None:
         super().__init__(shown)
         self._scale = AdaptiveScale()
+        self.sentence = ElidedLabel(lines=2)
         modes = (("Find one layer", 1), ("Find two layers", 2))
         self.mode = Choice(
             "Search for one or two layers every few seconds", modes, lambda: self.sentence.setText(_SEARCHING)
@@ -72,7 +73,6 @@ class LayersPanel(Panel):
         self.plot = MisfitPlot()
         self.map = ViewGrid((80, 50))
         self.map.setToolTip("Phase of each layer, without piston")
-        self.sentence = ElidedLabel(lines=2)
         header = row(self.mode, self.origin, (ElidedLabel(), 1))
         column(header, (row((self.plot, 3), (self.map, 2), spacing=12), 1), self.sentence, parent=self)
         self.forget_bench()

@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from string import Template
 
 from PyQt6.QtCore import QEvent, QMessageLogContext, QObject, QPointF, Qt, QtMsgType, qInstallMessageHandler
 from PyQt6.QtGui import QColor, QIcon, QPainter, QPainterPath, QPalette, QPixmap, QPolygonF
@@ -34,48 +35,14 @@ LIT = _pair("#ffc14d", "#a96d00")  # the lamp of a light that is on
 ACCENT_ON_IMAGE, GREEN_ON_IMAGE, AMBER_ON_IMAGE, RED_ON_IMAGE = map(QColor, (ACCENT, GREEN, AMBER, RED))
 # An image is as dark in every theme.
 _TONES = {"text": TEXT, "dim": DIM, "accent": ACCENT, "green": GREEN, "amber": AMBER, "red": RED}  # of texts
+_FOLDER = Path(__file__).parents[1]  # of the style sheet and the icon
 _NO_DISPLAY = "svwfs: no window can be opened: correct DISPLAY, or run without a display: QT_QPA_PLATFORM=offscreen"
 
 
 def _style() -> str:
-    return f"""
-QToolTip {{ color: {TEXT.name()}; background: {RAISED.name()}; border: 1px solid {LINE.name()}; padding: 4px; }}
-QLabel[role="title"] {{ color: {TEXT.name()}; font-weight: 600; }}
-*[role="dim"], *[stale="true"] {{ color: {DIM.name()}; }}
-QLabel[role="badge"] {{ color: {BACKGROUND.name()}; background: {AMBER.name()}; font-weight: 600; padding: 2px 6px; }}
-{"".join(f'*[tone="{name}"] {{ color: {colour.name()}; }}' for name, colour in _TONES.items())}
-QFrame[role="rule"] {{ background: {LINE.name()}; }}
-*[role="strip"] {{ background: {SURFACE.name()}; }}
-*[wanted="true"] {{ color: {AMBER.name()}; font-style: italic; }}
-*[wanted="true"] QAbstractItemView {{ color: {TEXT.name()}; font-style: normal; }}
-QListWidget::item {{ padding: 3px 6px; }}
-QCheckBox::indicator {{ width: 14px; height: 14px; border: 1px solid {DIM.name()}; border-radius: 3px; }}
-QCheckBox::indicator:checked {{ background: {ACCENT.name()}; border-color: {ACCENT.name()}; }}
-QCheckBox::indicator:focus {{ border-color: {ACCENT.name()}; }}
-QPushButton {{ padding: 3px 8px; }}
-QPushButton:checked {{ background: {CHECKED.name()}; border: 1px solid {ACCENT.name()}; border-radius: 3px; }}
-QPushButton:checked:disabled {{ background: {RAISED.name()}; border-color: {LINE.name()}; }}
-QPushButton[role="step"] {{ padding: 3px 4px; }}
-QPushButton[role="light"] {{ font-weight: 600; padding: 6px; }}
-QPushButton[role="verdict"] {{ font-weight: 600; padding: 3px 6px; border: none; text-align: left; }}
-QPushButton[role="verdict"]:hover {{ background: {RAISED.name()}; }}
-QPushButton[role="more"] {{ padding: 0px 4px; border: none; }}
-QPushButton[role="more"]:hover {{ background: {RAISED.name()}; }}
-QPushButton[role="more"]::menu-indicator {{ image: none; width: 0px; }}
-QFrame[role="recording"] {{ background: {RED.name()}; }}
-QPushButton[role="light"]:checked {{ border: 2px solid {RED.name()}; border-radius: 4px; }}
-QMenuBar {{ background: {SURFACE.name()}; padding: 3px 4px; }}
-QMenuBar::item {{ padding: 5px 8px; border-radius: 3px; }}
-QMenuBar::item:selected {{ background: {RAISED.name()}; }}
-QMainWindow::separator {{ background: {BACKGROUND.name()}; width: 6px; height: 6px; }}
-QMainWindow::separator:hover {{ background: {LINE.name()}; }}
-QTabBar::tab {{ color: {DIM.name()}; padding: 4px 4px; margin-right: 1px; border-bottom: 2px solid {LINE.name()}; }}
-QTabBar::tab:hover {{ color: {TEXT.name()}; }}
-QTabBar::tab:selected {{ color: {TEXT.name()}; border-bottom-color: {ACCENT.name()}; }}
-QStatusBar::item {{ border: none; }}
-QProgressBar {{ border: 1px solid {LINE.name()}; border-radius: 3px; background: {BACKGROUND.name()}; }}
-QProgressBar::chunk {{ background: {ACCENT.name()}; }}
-"""
+    """Return the style sheet, in the colours of the theme."""
+    colours = {name: each.name() for name, each in globals().items() if isinstance(each, QColor)}
+    return Template((_FOLDER / "style.qss").read_text("utf-8")).substitute(colours)
 
 
 def styled_application() -> QApplication:
@@ -154,7 +121,7 @@ def _colour(application: QApplication) -> None:
         palette.setColor(QPalette.ColorGroup.Disabled, role, DISABLED)
     application.setPalette(palette)
     application.setStyleSheet(_style())
-    application.setWindowIcon(QIcon(str(Path(__file__).parents[1] / "svwfs.svg")))
+    application.setWindowIcon(QIcon(str(_FOLDER / "svwfs.svg")))
 
 
 class _Follower(QObject):
