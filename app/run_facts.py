@@ -59,13 +59,10 @@ def newer_version(writer: object) -> str:
     return str(writer).removeprefix("svwfs ") if theirs > ours else ""
 
 
-def timing_facts(times: Mapping[TimedStage, StageTimes]) -> dict[str, dict[str, float | str | None]]:
-    """Count, median, 99th percentile, maximum (s) and its cause of every stage; None if nothing was timed."""
+def timing_facts(times: Mapping[TimedStage, StageTimes]) -> dict[str, dict[str, float | None]]:
+    """Count, median, 99th percentile and maximum (s) of every stage; None if nothing was timed."""
     return {
-        stage: {
-            name: None if isinstance(value, float) and math.isnan(value) else value
-            for name, value in asdict(times[stage]).items()
-        }
+        stage: {name: None if math.isnan(value) else value for name, value in asdict(times[stage]).items()}
         for stage in STAGES
     }
 

@@ -1,4 +1,4 @@
-"""Stage times and result latency of the live path, always measured, with the cause of the longest.
+"""Stage times and result latency of the live path, always measured.
 
 Each stage keeps its last few thousand times in a ring buffer written by the thread that runs the stage: 1 us per
 entry. Readers may miss the newest entry but never see a wrong one.
@@ -6,14 +6,11 @@ entry. Readers may miss the newest entry but never see a wrong one.
 
 from __future__ import annotations
 
-import gc
 import math
 import time
-from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -32,9 +29,6 @@ TimedStage = Literal[
 ]
 STAGES: tuple[TimedStage, ...] = get_args(TimedStage)
 KEPT = 4096  # times per stage; a minute at the highest frame rate
-_LONG_S = 0.005  # what takes longer may be the cause of a pause
-_CAUSES = 2  # named, the longest first
-_SPANS: tuple[TimedStage, ...] = ("wait", "to_result", "to_screen")  # waiting, or the sum of other stages: no causes
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,39 +39,6 @@ class StageTimes:
     p50_s: float = math.nan  # of the kept times
     p99_s: float = math.nan  # of the kept times
     max_s: float = math.nan  # since the start, or that of the last recording
-    cause: str = ""  # what else ran in this process during the longest; empty if nothing that is known
-
-
-_long_work: deque[tuple[float, float, str]] = deque(maxlen=256)  # begin, end and name; threads share Python's lock
-
-
-def _note_work(begin_s: float, name: str) -> None:
-    """Remember work that ends now, if it was long."""
-    if (end_s := time.perf_counter()) > begin_s + _LONG_S:
-        _long_work.append((begin_s, end_s, name))
-
-
-def _cause(begin_s: float, stage: TimedStage) -> str:
-    """Name what has run longest since a time besides the stage itself."""
-    overlaps = Counter[str]()
-    for other_s, until_s, name in tuple(_long_work):
-        overlaps[name] += round(1e3 * max(until_s - max(other_s, begin_s), 0.0))
-    del overlaps[stage]
-    return ", ".join(f"{name} {ms} ms" for name, ms in overlaps.most_common(_CAUSES) if ms)
-
-
-@cache
-def _watch_garbage_collection() -> None:
-    """Note long garbage collections from now on."""
-    begun_s: list[float] = []
-
-    def note(phase: str, _: dict[str, int]) -> None:
-        if phase == "start":
-            begun_s.append(time.perf_counter())
-        elif begun_s:
-            _note_work(begun_s.pop(), "garbage collection")
-
-    gc.callbacks.append(note)
 
 
 class _Ring:
@@ -85,23 +46,23 @@ class _Ring:
 
     def __init__(self, kept: int) -> None:
         self._times_s = np.zeros(kept)
-        self._count, self._max_s, self._cause = 0, math.nan, ""
+        self._count, self._max_s = 0, math.nan
 
-    def note(self, seconds: float, stage: TimedStage) -> None:
+    def note(self, seconds: float) -> None:
         self._times_s[self._count % len(self._times_s)] = seconds
         self._count += 1
         if not seconds <= self._max_s:
-            self._max_s, self._cause = seconds, _cause(time.perf_counter() - seconds, stage)
+            self._max_s = seconds
 
     def forget_longest(self) -> None:
-        self._max_s, self._cause = math.nan, ""
+        self._max_s = math.nan
 
     def summary(self) -> StageTimes:
         count = self._count
         if not count:
             return StageTimes()
         p50_s, p99_s = np.percentile(self._times_s[:count], (50, 99))
-        return StageTimes(count, float(p50_s), float(p99_s), self._max_s, self._cause)
+        return StageTimes(count, float(p50_s), float(p99_s), self._max_s)
 
 
 class Timings:
@@ -109,13 +70,10 @@ class Timings:
 
     def __init__(self, kept: int = KEPT) -> None:
         self._rings = {stage: _Ring(kept) for stage in STAGES}
-        _watch_garbage_collection()
 
     def note(self, stage: TimedStage, seconds: float) -> None:
         """Add one time of a stage that has just ended."""
-        if stage not in _SPANS:
-            _note_work(time.perf_counter() - seconds, stage)
-        self._rings[stage].note(seconds, stage)
+        self._rings[stage].note(seconds)
 
     def forget_longest(self) -> None:
         """Begin anew with the longest time of each stage."""

@@ -237,7 +237,6 @@ def print_figures(figures: LiveFigures) -> None:
     if recording is not None and recording.problem:
         notes.append(f"The recording ended early: {recording.problem}")
     terminal.print_table(None, ("live", "measured", "asked", ""), lines, notes)
-    terminal.print_table(None, ("longest pause", "ms", "meanwhile"), span.pauses())
     if span.processor_s and span.frames.acquired:
         _print_processor_times(span)
 

@@ -26,7 +26,6 @@ from reconstruction.runtime.threads import name_threads
 
 LEAST_S, MOST_S = 1.0, 3600.0
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
-_PAUSES: dict[str, TimedStage] = {"acquisition": "to_result", "recorder": "record", "window": "draw"}
 _WITHOUT_WINDOW_S = 20.0  # at most
 _MEMORY_S = 50.0  # at the end of the run, at most
 _MORE_FRAMES = 50  # equivalent of dark, reference and files written once
@@ -154,12 +153,6 @@ class Span:
             for thread, seconds in threads.items()
             if thread.startswith(processor_time.DETECTOR) or (process, thread) == (processor_time.RENDERING, "")
         )
-
-    def pauses(self) -> Iterator[tuple[str, str, str]]:
-        """Yield the longest pauses of acquisition, recorder and window, ms, with what ran meanwhile."""
-        for who, stage in _PAUSES.items():
-            if (found := self.times[stage]).count:
-                yield f"{who}: {stage.replace('_', ' ')}", f"{1e3 * found.max_s:.0f}", found.cause
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON."""

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import gc
 import math
 import time
-from collections import deque
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.patience import HANG_S
 
-import app.timing
 from app.acquisition.devices import open_devices
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
@@ -49,18 +46,6 @@ def test_failing_body_is_not_timed() -> None:
     assert timings.summary()["register"].count == 1
 
 
-def test_longest_time_names_what_ran_meanwhile(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(app.timing, "_long_work", deque())  # of other tests
-    timings = Timings()
-    timings.note("register", 0.1)
-    timings.note("record", 0.06)
-    assert timings.summary()["record"].cause == "register 60 ms"
-    timings.note("to_result", 0.2)
-    assert timings.summary()["to_result"].cause == "register 100 ms, record 60 ms"
-    timings.note("record", 0.0)
-    assert timings.summary()["record"].cause == "register 60 ms"
-
-
 def test_longest_time_can_be_forgotten() -> None:
     timings = Timings()
     timings.note("record", 0.5)
@@ -69,16 +54,6 @@ def test_longest_time_can_be_forgotten() -> None:
     timings.note("record", 0.1)
     summary = timings.summary()["record"]
     assert (summary.count, summary.max_s) == (2, 0.1)
-
-
-def test_garbage_collection_is_a_cause() -> None:
-    timings = Timings()
-    note = next(each for each in gc.callbacks if each.__module__ == "app.timing")
-    note("start", {})
-    time.sleep(0.02)
-    note("stop", {})
-    timings.note("record", 0.02)
-    assert "garbage collection" in timings.summary()["record"].cause
 
 
 def test_every_stage_of_the_worker_is_timed(monkeypatch: pytest.MonkeyPatch, small_toml: Path) -> None:
