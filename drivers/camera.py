@@ -251,10 +251,7 @@ class Camera(Device):
 
     @contextmanager
     def paused(self) -> Iterator[Self]:
-        """Stop a running camera for a `with` block and restart it afterwards, also when the block fails.
-
-        A camera that is lost or closed by then stays so; one that was stopped is not started.
-        """
+        """Stop a running camera for a `with` block and restart it then, also after an error, unless it is lost."""
         was_running = self.is_running
         self.stop()
         try:

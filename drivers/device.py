@@ -104,10 +104,7 @@ def switched(on: object) -> bool:
 
 
 def choose(wanted: str, devices: Sequence[Collection[str]], *, what: str, setting: str) -> int:
-    """Return the place of the device that has the wanted name among its names, "" for the only one.
-
-    `what` is the kind of the devices; `setting` chooses among them.
-    """
+    """Return the place of the device that has the wanted name, "" for the only one; errors name the `setting`."""
     fitting = [place for place, names in enumerate(devices) if wanted in {"", *names}]
     if len(fitting) == 1:
         return fitting[0]

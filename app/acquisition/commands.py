@@ -23,10 +23,7 @@ def _command(request: Callable[Concatenate[Instrument, P], T]) -> Callable[Conca
 
 
 class Commands:
-    """The commands. Any thread may send one; it returns at once, with a future.
-
-    The future resolves after the status is updated. A routine shows its progress as `activity`.
-    """
+    """The commands. Any thread may send one; its future resolves after the status is updated."""
 
     commands: Any  # takes them: the queue of the worker, or what the connection sends
 

@@ -53,13 +53,7 @@ def encoded(value: object) -> bytearray:
 
 
 def unpacked(buffer: bytes | bytearray | memoryview) -> Any:
-    """Return the value in a message, with arrays as read-only views.
-
-    Raises
-    ------
-    RunError
-        If it is no such message: cut short, or of another version of this program.
-    """
+    """Return a message's value, its arrays read-only views; `RunError` if it is cut short or of another version."""
     view = memoryview(buffer).toreadonly()
     try:
         length = int.from_bytes(view[:8], "little")

@@ -42,10 +42,7 @@ def start_up(acquisition: RunningInstrument, frames: int = FRAMES, *, is_lit: bo
 
 
 def knows_sample(acquisition: RunningInstrument) -> bool:
-    """True if sample and correction of the newest frame are known, if it has any.
-
-    It stays false with few frames: the first search takes some seconds, the first correction some more.
-    """
+    """True if sample and correction of the newest frame are known, after some seconds; false with few frames."""
     newest = acquisition.newest
     if newest is None or not newest.counts.acquired:
         return False
@@ -121,10 +118,7 @@ def has_moved(found: Lattice, status: Status) -> bool:
 
 
 class HeadlessRun:
-    """Steps of one instrument, made some times a second; one raises `RunError` or `InputError` if it cannot continue.
-
-    `progress` receives what they wait for.
-    """
+    """Steps of one instrument; `RunError` or `InputError` if one cannot continue. Each reports its `progress`."""
 
     def __init__(self, acquisition: RunningInstrument, progress: Progress = lambda *_: None) -> None:
         self.acquisition, self._progress = acquisition, progress
@@ -139,10 +133,7 @@ class HeadlessRun:
         return sent
 
     def first_wavefront(self, within_s: float) -> Generator[None, None, float]:
-        """Wait for the first wavefront after all commands; return when it came, by time.perf_counter().
-
-        `RunError` if it does not come in that time, or in some frames.
-        """
+        """Wait for the first wavefront after all commands; return when it came (perf_counter), or raise `RunError`."""
         acquisition, seen, failed, problem = self.acquisition, None, 0, ""
         end_s = time.perf_counter() + within_s
         while True:

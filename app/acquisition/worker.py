@@ -50,11 +50,7 @@ _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light mus
 
 
 class Acquisition(Commands):
-    """The worker thread, with a recorder; it alone calls devices, but to switch the light off.
-
-    Requests may come from any thread and return at once, most of them with a future. Results are published as the bench
-    says.
-    """
+    """The worker thread, with a recorder; it alone calls devices, but to switch the light off."""
 
     def __init__(
         self,

@@ -152,10 +152,7 @@ def headless_steps(
     screenshot: Path | None = None,
     on_finish: Callable[[RunningInstrument, Measurement, dict[TimedStage, StageTimes]], object] = lambda *_: None,
 ) -> Iterator[None]:
-    """Wait for a wavefront and then `seconds`; save a screenshot.
-
-    `on_finish` receives the instrument, the last wavefront's measurement, and the times of all stages.
-    """
+    """Wait for a wavefront and then `seconds`; save a screenshot, and call `on_finish` with what was measured."""
     shown = list[Measurement]()
 
     def note(measurement: Measurement) -> None:

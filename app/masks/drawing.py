@@ -177,11 +177,7 @@ def _write_png(drawing: Drawing, path: Path) -> None:
 
 
 def raster(drawing: Drawing) -> tuple[NDArray[np.bool_], float]:
-    """Return a drawing as pixels (row, column), true where their middle is open, and their side in m.
-
-    Edges of openings along x and y are edges of pixels. A pixel lies in a polygon if an odd number of edges is right of
-    it.
-    """
+    """Return a drawing as pixels (row, column), true where an odd number of edges is right of them; their side in m."""
     mask = drawing.openings
     finest_m = max(min(_PNG_PIXEL_M, mask.size_m / 1000), 2 * drawing.half_y_m / _PNG_MOST_PIXELS)
     pixel_m = mask.grid_m / (2 * math.ceil(mask.grid_m / finest_m / 2))

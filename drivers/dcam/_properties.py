@@ -242,10 +242,7 @@ class Properties:
         return text.value.decode(errors="replace")
 
     def readable(self) -> dict[str, Property]:
-        """All readable properties by Hamamatsu's names; one that fails holds the error message.
-
-        A property whose attributes or name the camera does not report is left out.
-        """
+        """All readable properties by Hamamatsu's names, where the camera reports them; errors in place of values."""
         readable: dict[str, Property] = {}
         for identifier in self._identifiers():
             try:

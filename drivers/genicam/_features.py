@@ -183,10 +183,7 @@ _AXES: Final = ("BinningVertical", "BinningHorizontal")  # in this order: on som
 
 
 class Geometry:
-    """Binning and region, through features that may be missing, locked, or enumerations.
-
-    Regions are in pixels of the sensor, region features in binned pixels.
-    """
+    """Binning and region, in pixels of the sensor, through features that may be missing, locked, or enumerations."""
 
     def __init__(self, connection: GenicamConnection) -> None:
         self._connection = connection

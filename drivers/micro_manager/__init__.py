@@ -13,10 +13,7 @@ from drivers.camera import ExposureSetting, RegionSetting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MicroManagerSettings:
-    """Selection and settings of a camera; what is omitted keeps the camera's value.
-
-    Opening the camera checks what depends on it: exposure, binning, region, properties.
-    """
+    """Selection and settings of a camera; what is omitted keeps the camera's value."""
 
     driver: Literal["micro_manager"] = "micro_manager"
     adapter: Annotated[str, MinLen(1), Doc('Device adapter, for example "AndorSDK3"')]

@@ -59,10 +59,7 @@ def portable_error(error: BaseException) -> Exception:
 
 @dataclass(frozen=True, slots=True)
 class NewStatus:
-    """The status, and the bench as given: sent before a state that comes with another status.
-
-    Apart from the state, because it takes forty times as long to read.
-    """
+    """The status, and the bench as given; apart from `State`, because it takes forty times as long to read."""
 
     bench: Bench
     status: Status | None

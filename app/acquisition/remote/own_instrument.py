@@ -56,10 +56,7 @@ class OwnInstrument:
         self._folder.cleanup()
 
     def start(self, bench: Bench) -> Child:
-        """Start the process for a bench, whose libraries are confirmed, unless it runs; return at once.
-
-        `NameTaken` if another instrument has the name.
-        """
+        """Start the process for a bench with confirmed libraries, unless it runs; `NameTaken` if the name is in use."""
         if self._process is not None and self._process.poll() is None and self._bench == bench:
             return self._process
         self._end()
@@ -84,10 +81,7 @@ class OwnInstrument:
         return self._process
 
     def connect(self, bench: Bench) -> OwnConnection:
-        """Begin to connect to the process of a bench, started if need be, after the end of the one before.
-
-        `RunError` if the one before does not end, or continues, or as `start`.
-        """
+        """Begin to connect to the process of a bench, after the end of the one before; `RunError` if that stays."""
         from app.acquisition.remote.own_connection import OwnConnection  # noqa: PLC0415 - takes a second to load
 
         if self._connection is not None:

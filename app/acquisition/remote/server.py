@@ -81,10 +81,7 @@ class Server:
         self.address = replace(address, endpoint=self._socket.getsockopt_string(zmq.LAST_ENDPOINT))
 
     def run(self, begin: Callable[[Acquisition], object]) -> None:
-        """Start the acquisition, send its first commands by `begin`, and serve until its end.
-
-        Raises what ended it, if it was not asked to.
-        """
+        """Start the acquisition, send its first commands by `begin`, and serve; raise what ended it unasked."""
         poller = zmq.Poller()
         for each in (self._socket, self._wakeup):
             poller.register(each, zmq.POLLIN)
@@ -255,10 +252,7 @@ class Server:
 
 
 def _begin_request(command: Command, acquisition: Acquisition) -> Future[Any]:
-    """Call the method that a command names, and return its future.
-
-    `BadValue` if that is no command or request of an acquisition, or the arguments do not fit its annotations.
-    """
+    """Call the method that a command names; `BadValue` if there is none, or the arguments do not fit its types."""
     name = command.request
     method: Any = getattr(Acquisition, name, None)
     hints = get_type_hints(method) if inspect.isfunction(method) and not name.startswith("_") else {}

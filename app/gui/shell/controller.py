@@ -163,10 +163,7 @@ class Controller(QObject):
         self._pending = [(future, None, None) for future in begin(made)]
 
     def close(self, meanwhile: Callable[[], object]) -> None:
-        """Turn the light off at once, close the devices, and call `meanwhile` at 25 Hz until that is done.
-
-        A process that does not answer is not waited for as long.
-        """
+        """Turn the light off at once, close the devices, and call `meanwhile` at 25 Hz until that is done."""
         if self.acquisition is None:
             return
         self.acquisition.begin_close()
@@ -179,10 +176,7 @@ class Controller(QObject):
     def send(
         self, submit: Callable[[RunningInstrument], Future[T]], then: Then = None, otherwise: Otherwise = None
     ) -> Future[T] | None:
-        """Send a command to the acquisition, if there is one; an earlier notice disappears.
-
-        `then` receives the result, `otherwise` an error.
-        """
+        """Send a command, if there is an acquisition; `then` receives its result, `otherwise` its error."""
         return None if self.acquisition is None else self.follow(submit(self.acquisition), then, otherwise)
 
     def follow(self, future: Future[T], then: Then, otherwise: Otherwise) -> Future[T]:
@@ -204,10 +198,7 @@ class Controller(QObject):
             self.send(lambda _: connection.take_control())
 
     def ask_to_leave(self, then: Callable[[], object], parent: QWidget) -> bool:
-        """Ask whether the instrument continues, and call `then`; return False if it ends with the window.
-
-        An instrument that another client controls continues.
-        """
+        """Ask whether the instrument continues, as one of another client does; False if it ends with the window."""
         if (connection := self.connection) is None:
             return False
         if connection.is_of_another:

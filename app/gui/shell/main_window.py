@@ -68,11 +68,7 @@ class MainWindow(QMainWindow):
     measurement_shown = pyqtSignal(object)  # the Measurement, by reference
 
     def __init__(self, *, saved: QSettings | None = None, make_for: MakeFor = Acquisition, name: str = NAME) -> None:
-        """Make an empty window.
-
-        `make_for` makes the acquisition of a bench that is opened in the window, where the instrument has a `name`. The
-        window looks as saved in `saved` state, and saves how it looks when it closes.
-        """
+        """Make an empty window that looks as `saved`; `make_for` and `name` are those of its instruments."""
         super().__init__()
         self._make_for, self._name = make_for, name
         self._saved, self.is_closing, self._refreshes = saved, False, 0

@@ -100,10 +100,7 @@ class MessageStrip(QFrame):
         *,
         is_destructive: bool = False,
     ) -> None:
-        """Show a question with the texts of its buttons, and act if the answer is yes.
-
-        If "yes" `is_destructive`, it is amber, and Return does not accept.
-        """
+        """Show a question, and act after "yes"; if that `is_destructive`, it is amber, and Return does not accept."""
         self._question, self._act, self._is_destructive = question, act, is_destructive
         self._say(question)
         self.accept.setText(accept)
@@ -135,10 +132,7 @@ class MessageStrip(QFrame):
     def show_state(
         self, *, failure: str, warning: str, advice: str, may_reconnect: bool = True, may_take_control: bool = False
     ) -> None:
-        """Show the message of highest priority; a `failure` is shown with the `advice`.
-
-        If this window `may_take_control`, a button does.
-        """
+        """Show the message of highest priority, a `failure` with the `advice`, and buttons for what may be done."""
         if failure and failure != self._standing.get("failure"):
             self._question = ""  # no device is left to apply it
         for name, text in (("failure", failure), ("warning", warning)):

@@ -401,10 +401,7 @@ class RecordingBar(QFrame):
     def _run(
         self, by: Button, command: Command, begin: str, end: str, then: Callable[[], object] = lambda: None
     ) -> None:
-        """Run a command of svwfs in another process; meanwhile its button `by` is grey and shows the progress.
-
-        `begin` and `end` are the messages, `then` is called if it succeeds.
-        """
+        """Run a command of svwfs in another process, by a button that shows the progress; say its begin and end."""
         process, name, errors = QProcess(self), by.text(), list[str]()
         environment = QProcessEnvironment.systemEnvironment()
         environment.insert(LINES, "1")

@@ -35,10 +35,7 @@ Counts = NDArray[np.uint16]
 
 
 class CameraImage(pg.GraphicsObject):  # type: ignore[misc] # ships no types
-    """Shows counts in the colours between a black and a white level; pixel centres are at integers.
-
-    Painting looks up the colours of what is seen, at the resolution of the screen.
-    """
+    """Shows counts in colours between black and white, looked up where they are seen; pixel centres are integers."""
 
     def __init__(self, view: pg.ViewBox) -> None:
         super().__init__()
@@ -151,10 +148,7 @@ def cell_border(lattice: Lattice, lenslets: tuple[int, int], at: tuple[int, int]
 
 
 def arrows(lattice: Lattice, displacement_px: Floats, magnification: float) -> Floats:
-    """Return an arrow from each lenslet's centre along its displacement (lenslet_row, lenslet_column, xy).
-
-    Lenslets without a displacement (NaN), or with one of 0, have no arrow.
-    """
+    """Return an arrow along each displacement (lenslet_row, lenslet_column, xy), none where it is NaN or 0."""
     known = np.isfinite(displacement_px).all(axis=-1) & displacement_px.any(axis=-1)
     tail = lenslet_centers(lattice.arrangement, *known.shape)[known] @ lattice.pitch_matrix_px
     shaft = displacement_px[known] * magnification

@@ -39,10 +39,7 @@ class FileWork(QObject):
         return self._result is not None
 
     def run(self, work: Callable[[], T], then: Callable[[T], object], *, writes: str = "") -> None:
-        """Do some work after what was asked for before; `then` receives its result.
-
-        `writes` names what it saves, such as a file, for the message that a closing window has not saved it.
-        """
+        """Do some work after what was asked for before; `then` receives its result, `writes` names what it saves."""
         if self._is_closed:  # as by what follows from a piece that was waited for
             return
         self._pieces.append(_Piece(work, then, writes))

@@ -54,10 +54,7 @@ class Plot(QWidget):
     def __init__(
         self, title: str, bottom: str | None, keys: tuple[tuple[str, QColor], ...] = (), widest: str = "0.0"
     ) -> None:
-        """Make an empty plot with a legend of `keys`, and space for the `widest` number on its left axis.
-
-        Without `bottom`, the text below it, there is no axis at the bottom.
-        """
+        """Make an empty plot with a legend of `keys`, space for the `widest` number at the left, and a text below."""
         super().__init__()
         self.curves: list[pg.PlotCurveItem] = []
         self._is_clear = False

@@ -143,10 +143,7 @@ class Presentation:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Format a number with significant digits, so that small ones do not become zero; NaN is a dash.
-
-    Very small and very large numbers have an exponent.
-    """
+    """Format a number with significant digits, very small and very large ones with an exponent; NaN is a dash."""
     if not math.isfinite(value):
         return NOTHING
     if value == 0:
