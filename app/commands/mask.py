@@ -27,7 +27,7 @@ def mask(
             metavar="LENGTH", help="Side of the square around the field, as 1.2mm; the bench's field if omitted."
         ),
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="Drawing to write: SVG, DXF, GDS (GDSII) or PNG.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Drawing to write: SVG, DXF or GDS (GDSII).")] = None,
     accuracy: Annotated[
         bool,
         typer.Option(

@@ -1,19 +1,17 @@
-"""Drawings of masks for a lithographer as SVG, DXF, GDSII or PNG, with marks and notes.
+"""Drawings of masks for a lithographer as SVG, DXF or GDSII, with marks and notes.
 
 The plate is seen from the lenslets, with x to the right and y downwards; in DXF and GDSII, whose y points upwards,
-it looks the same. Filled shapes, in PNG white ones, let light through.
+it looks the same. Filled shapes let light through.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from unittest.mock import patch
 from xml.etree import ElementTree as ET
 
 import numpy as np
-from numpy.typing import NDArray
 
 from app.errors import InputError
 from app.files import atomic_write
@@ -28,8 +26,6 @@ _LETTER_F = np.array(  # (corner, xy) in a square of side 1; no turned or mirror
     [(0, 0), (0.6, 0), (0.6, 0.2), (0.2, 0.2), (0.2, 0.4), (0.5, 0.4), (0.5, 0.6), (0.2, 0.6), (0.2, 1), (0, 1)]
 )
 _GDS_CORNERS = 8190  # of a polygon at most
-_PNG_PIXEL_M = 1e-6
-_PNG_MOST_PIXELS = 8000  # along a side
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,7 +53,7 @@ class Drawing:
             "drawn as seen from the lenslets; the chrome faces them (right-reading, chrome up); the F is upper left",
             f"the mount must cover the marks: they lie outside a circle of {_mm(2 * self.hole_m)} mm",
             f"scale bar {_um(self.scale_bar_m)} um; round edges are polygons within {TOLERANCE_M * 1e9:g} nm",
-            "filled shapes (white in PNG) are transparent, all else is opaque",
+            "filled shapes are transparent, all else is opaque",
         )
 
     @property
@@ -106,7 +102,7 @@ def write_drawing(drawing: Drawing, path: Path) -> None:
             WRITERS[path.suffix.lower()](drawing, temporary)
     except ImportError as error:
         raise InputError(
-            f"{path}: this format needs {error.name}: install the extra svwfs[mask], or write .svg or .png"
+            f"{path}: this format needs {error.name}: install the extra svwfs[mask], or write .svg"
         ) from error
 
 
@@ -164,46 +160,4 @@ def _write_gds(drawing: Drawing, path: Path) -> None:
     library.write_gds(path, max_points=_GDS_CORNERS)
 
 
-def _write_png(drawing: Drawing, path: Path) -> None:
-    """Write a bit for each pixel."""
-    from PIL import Image, PngImagePlugin
-
-    pixels, pixel_m = raster(drawing)
-    texts = PngImagePlugin.PngInfo()
-    texts.add_text("Title", drawing.notes[0])
-    texts.add_text("Description", ". ".join((*drawing.notes, f"pixels of {_um(pixel_m)} um")))
-    per_inch = 0.0254 / pixel_m
-    Image.fromarray(pixels).save(path, dpi=(per_inch, per_inch), pnginfo=texts)
-
-
-def raster(drawing: Drawing) -> tuple[NDArray[np.bool_], float]:
-    """Return a drawing as pixels (row, column), true where an odd number of edges is right of them; their side in m."""
-    mask = drawing.openings
-    finest_m = max(min(_PNG_PIXEL_M, mask.size_m / 1000), 2 * drawing.half_y_m / _PNG_MOST_PIXELS)
-    pixel_m = mask.grid_m / (2 * math.ceil(mask.grid_m / finest_m / 2))
-    across = round(mask.size_m / pixel_m)
-    rows, columns = (
-        across + 2 * math.ceil(half_m / pixel_m - across / 2) for half_m in (drawing.half_y_m, drawing.half_x_m)
-    )
-    pixels = np.zeros((rows, columns), np.bool_)
-    for corners_m in (each for polygons_m in drawing.layers.values() for each in polygons_m):
-        corners = corners_m / pixel_m + ((columns - 1) / 2, (rows - 1) / 2)
-        (left, top), (right, bottom) = np.ceil(corners.min(axis=0)), np.ceil(corners.max(axis=0))
-        x, inside = np.arange(left, right), np.zeros((int(bottom - top), int(right - left)), np.bool_)
-        for one, other in pairwise([*corners, corners[0]]):
-            (x0, y0), (x1, y1) = sorted((one, other), key=lambda corner: float(corner[1]))
-            if y0 == y1:
-                continue
-            y = np.arange(np.ceil(y0), np.ceil(y1))
-            first = int(np.ceil(y0) - top)
-            inside[first : first + len(y)] ^= x < (x0 + (y - y0) * (x1 - x0) / (y1 - y0))[:, None]
-        pixels[int(top) : int(bottom), int(left) : int(right)] |= inside
-    return pixels, pixel_m
-
-
-WRITERS: dict[str, Callable[[Drawing, Path], None]] = {
-    ".svg": _write_svg,
-    ".dxf": _write_dxf,
-    ".gds": _write_gds,
-    ".png": _write_png,
-}
+WRITERS: dict[str, Callable[[Drawing, Path], None]] = {".svg": _write_svg, ".dxf": _write_dxf, ".gds": _write_gds}

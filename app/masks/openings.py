@@ -32,7 +32,6 @@ class Openings:
     name: str
     size_m: float  # side of the square that holds the field
     polygons_m: tuple[Floats, ...]
-    grid_m: float  # edges along x and y lie at multiples of half of it from the square's sides
     width_m: float  # of the narrowest opening; in pictures as of `narrowest_px`
     gap_m: float | None  # None: none is narrower than half the size
     touching: int = 0  # corners where openings only touch; they are no gap
@@ -110,7 +109,7 @@ def _octagon(_: Source, size_m: float) -> Openings:
 
 
 def _one(name: str, size_m: float, width_m: float, polygon_m: Floats) -> Openings:
-    return Openings(name=name, size_m=size_m, polygons_m=(polygon_m,), grid_m=size_m, width_m=width_m, gap_m=None)
+    return Openings(name=name, size_m=size_m, polygons_m=(polygon_m,), width_m=width_m, gap_m=None)
 
 
 def _stars(source: Source, size_m: float) -> Openings:
@@ -127,7 +126,6 @@ def _stars(source: Source, size_m: float) -> Openings:
         name="stars",
         size_m=size_m,
         polygons_m=tuple(_round(diameter_m / 2, diameter_m / 2) + place for place in places_m),
-        grid_m=size_m,
         width_m=diameter_m,
         gap_m=gap_m,
     )
@@ -176,7 +174,6 @@ def _of_pixels(name: str, is_open: NDArray[np.bool_], size_m: float) -> Openings
         name=name,
         size_m=size_m,
         polygons_m=tuple((rectangle(*sides) - middle) * pixel_m for sides in _rectangles(is_open)),
-        grid_m=pixel_m,
         width_m=(width_px or max(is_open.shape)) * pixel_m,  # which is found at the latest with the picture's side
         gap_m=gap_px and gap_px * pixel_m,
         touching=int(touches.sum()),

@@ -92,13 +92,8 @@ def test_enlarged_picture_is_the_same_mask(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "small.png"), picture)
     cv2.imwrite(str(tmp_path / "large.png"), np.kron(picture, np.full((60, 60), 255, np.uint8)))
     small, large = (openings(str(tmp_path / f"{name}.png"), Source(), 1e-3) for name in ("small", "large"))
-    assert (small.width_m, small.gap_m, small.grid_m, small.touching, len(small.polygons_m)) == (
-        large.width_m,
-        large.gap_m,
-        large.grid_m,
-        large.touching,
-        len(large.polygons_m),
-    )
+    facts, of_large = ((each.width_m, each.gap_m, each.touching, len(each.polygons_m)) for each in (small, large))
+    assert facts == of_large
 
 
 def test_area_of_many_polygons_is_theirs(tmp_path: Path) -> None:
