@@ -37,26 +37,10 @@ def run_window(
 ) -> int:
     """Run the window until it closes, and return the exit status.
 
-    Parameters
-    ----------
-    open_first
-        Opens a bench or a recording in the new window.
-    steps
-        Run without a user: the first step comes before `open_first`, the others at 10 Hz, and the window closes after
-        the last. Their errors are raised here. Such a window always looks the same; others look as at their last end.
-    make_for
-        Makes the acquisition of a bench that is opened in the window.
-    name
-        Name of the window's instruments.
-
-    Raises
-    ------
-    RunError
-        The run did not finish: no wavefront, a device failed, or the window was closed early.
-    InputError
-        The bench is invalid, and the window has opened no other.
-    Interrupted
-        A signal such as Ctrl-C closed the window.
+    `open_first` opens a bench or a recording; `make_for` and `name` are those of `MainWindow`. `steps` run without a
+    user: the first comes before `open_first`, the others at 10 Hz, and the window closes after the last; such a window
+    always looks the same. `RunError` if the run did not finish, `InputError` if the bench is invalid and no other was
+    opened, `Interrupted` if a signal such as Ctrl-C closed the window.
     """
     share_memory_of_threads()
     cv2.setNumThreads(1)  # one more costs a picture more than it saves

@@ -115,8 +115,13 @@ class Usbtmc:
 
     def read(self) -> str:
         """Return one message, of one or more transfers."""
+        message, is_complete = b"", False
         with self._recovered(_ABORT_IN):
-            message = self._read_message()
+            while not is_complete:
+                data, is_complete = self._read_transfer()
+                message += data
+                if len(message) > _LONGEST_ANSWER:
+                    raise DeviceError(f"{self._what} sends an endless answer")
         return message.decode("ascii", "backslashreplace").strip()
 
     def query(self, message: str) -> str:
@@ -181,15 +186,6 @@ class Usbtmc:
         transfer = _HEADER.pack(kind, self._tag, ~self._tag & 0xFF, length, attributes) + data
         with _faults(self._what):
             self._device.write(self._out, transfer + bytes(-len(transfer) % 4), _TIMEOUT_MS)
-
-    def _read_message(self) -> bytes:
-        message, is_complete = b"", False
-        while not is_complete:
-            data, is_complete = self._read_transfer()
-            message += data
-            if len(message) > _LONGEST_ANSWER:
-                raise DeviceError(f"{self._what} sends an endless answer")
-        return message
 
     def _read_transfer(self) -> tuple[bytes, bool]:
         """Return the data of one transfer; True if the message ends with it."""

@@ -209,10 +209,6 @@ class CameraPanel(Panel):
             colours = "inferno" if self.colours.isChecked() else "grey"
             self._image.show_counts(self._frame.pixels, colours, black, white, clip_level)
 
-    def _show_levels(self, black: float, white: float) -> None:
-        self.shown.levels = black, max(white, black + 1)
-        self._draw()
-
     def _adapt_contrast(self) -> None:
         """Follow statistics or full scale; a remembered frozen contrast begins with those of its first frame."""
         found, choice = self.shown.statistics, self.contrast.currentText()
@@ -224,7 +220,8 @@ class CameraPanel(Panel):
             return
         black, white = self.shown.levels or (0.0, 0.0)
         if max(abs(low - black), abs(max(high, low + 1) - white)) > _LEVELS_SLACK * (white - black):
-            self._show_levels(low, high)
+            self.shown.levels = low, max(high, low + 1)
+            self._draw()
 
     def reset_zoom(self) -> None:
         if self._frame is not None:
