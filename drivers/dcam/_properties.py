@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from ctypes import byref, c_double, c_int32, create_string_buffer
 from dataclasses import dataclass
-from enum import IntEnum, IntFlag
+from enum import IntEnum
 
 from drivers.camera import GONE
 from drivers.dcam._library import TEXT_BYTES, DcamLibrary, Denied, NotThere, PropertyAttribute, PropertyValueText, sized
@@ -108,30 +108,19 @@ FILTERS = {
 }
 
 
-class Attribute(IntFlag):
-    """Attributes of a property."""
-
-    HASSTEP = 0x40000000
-    HASVALUETEXT = 0x10000000
-    AUTOROUNDING = 0x00800000
-    READABLE = 0x00010000
-
-
+# Attributes of a property: single bits, and its type.
+HAS_STEP, HAS_VALUE_TEXT, AUTO_ROUNDING, READABLE = 0x40000000, 0x10000000, 0x00800000, 0x00010000
 TYPE_MASK, TYPE_REAL = 0xF, 3
 OPTION_NEXT = 0x01000000
 
 
-_KNOWN_ATTRIBUTES = sum(Attribute)
-
-
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Type and present limits of a property."""
+    """Attributes and present limits of a property."""
 
     range: Range
     step: float  # 0 if none
-    kind: int  # value type
-    attribute: Attribute
+    attribute: int
     elements: int  # property with the number of array elements; 0 for a scalar
     element_step: int
 
@@ -160,16 +149,8 @@ class Properties:
         """Limits in the present mode."""
         answer = sized(PropertyAttribute, iProp=identifier)
         self.library.call("dcamprop_getattr", self.handle, byref(answer))
-        unsigned = answer.attribute & 0xFFFFFFFF
-        attribute = Attribute(unsigned & _KNOWN_ATTRIBUTES)
-        return Limits(
-            Range(answer.valuemin, answer.valuemax),
-            answer.valuestep if attribute & Attribute.HASSTEP else 0.0,
-            unsigned & TYPE_MASK,
-            attribute,
-            answer.iProp_NumberOfElement,
-            answer.iPropStep_Element,
-        )
+        limits, step = Range(answer.valuemin, answer.valuemax), answer.valuestep if answer.attribute & HAS_STEP else 0.0
+        return Limits(limits, step, answer.attribute, answer.iProp_NumberOfElement, answer.iPropStep_Element)
 
     def has(self, identifier: int) -> bool:
         """True if the camera has the property in its present mode."""
@@ -203,7 +184,7 @@ class Properties:
     def set(self, identifier: int, value: float) -> float:
         """Write a value, rounded to its step; return the one in force."""
         allowed = self.limits(identifier)
-        if allowed.step > 0 and not allowed.attribute & Attribute.AUTOROUNDING:
+        if allowed.step > 0 and not allowed.attribute & AUTO_ROUNDING:
             steps = round((value - allowed.range.minimum) / allowed.step)
             value = min(allowed.range.minimum + steps * allowed.step, allowed.range.maximum)
         taken = c_double(value)
@@ -249,7 +230,7 @@ class Properties:
                 allowed, name = self.limits(identifier), self.name(identifier)
             except REFUSALS:
                 continue
-            if allowed.attribute & Attribute.READABLE:
+            if allowed.attribute & READABLE:
                 try:
                     readable[name] = self._worded(identifier, allowed)
                 except Disconnected:
@@ -260,11 +241,11 @@ class Properties:
 
     def _worded(self, identifier: int, allowed: Limits) -> Property:
         value = self.get(identifier)
-        if allowed.attribute & Attribute.HASVALUETEXT:
+        if allowed.attribute & HAS_VALUE_TEXT:
             with suppress(*REFUSALS):
                 kind = PropertyValueText
                 return self.library.text("dcamprop_getvaluetext", self.handle, kind, iProp=identifier, value=value)
-        return value if allowed.kind == TYPE_REAL else round(value)
+        return value if allowed.attribute & TYPE_MASK == TYPE_REAL else round(value)
 
     def _identifiers(self) -> Iterator[int]:
         """All properties, with the array elements, which DCAM does not enumerate."""
