@@ -64,7 +64,7 @@ def windows() -> Iterator[MakeWindow]:
     ) -> MainWindow:
         spare, begin = iter(cameras), partial(start_up, frames=frames)
         window = MainWindow(saved=saved)
-        window.controller.use(InstrumentFactory(lambda: Acquisition(BENCH, opener(next(spare))), begin), lambda: None)
+        window.controller.access = InstrumentFactory(lambda: Acquisition(BENCH, opener(next(spare))), begin)
         if resized:
             window.resize(1000, 760)
         window.show()

@@ -38,7 +38,7 @@ _STARTS = "the instrument is starting: wait until it is reached"
 class Controller(QObject):
     """Owns the acquisition; passes results of commands to callbacks, and shows their errors as warnings.
 
-    There is no acquisition before `use` and `connect_devices`, and another one after each reconnection.
+    There is no acquisition before `connect_devices` with an `access`, and another one after each reconnection.
     """
 
     connected = pyqtSignal()  # another acquisition has started
@@ -47,7 +47,7 @@ class Controller(QObject):
     def __init__(self, messages: MessageStrip) -> None:
         super().__init__()
         self.messages = messages
-        self._access: InstrumentFactory | None = None
+        self.access: InstrumentFactory | None = None  # of the next connection
         self.acquisition: RunningInstrument | None = None
         self.is_stuck = False  # whether the worker did not end on `close`
         self._pending: list[tuple[Future[Any], Then, Otherwise]] = []
@@ -140,26 +140,21 @@ class Controller(QObject):
     def is_idle(self) -> bool:
         return all(future.done() for future, _, _ in self._pending)
 
-    def use(self, access: InstrumentFactory, meanwhile: Callable[[], object]) -> None:
-        """Close the devices, as `close` does; use this access at the next connection."""
-        self.close(meanwhile)
-        self._access = access
-
     def connect_devices(self, *, is_lit: bool) -> None:
         """Start an acquisition, if a bench is open, and close the previous one; `is_lit`: see `start_up`.
 
         `RunError` if there is no instrument to connect to: the one before, and its failure, stay.
         """
-        if self._access is None:
+        if self.access is None:
             return
-        made = self._access.make()
+        made = self.access.make()
         before, self.acquisition = self.acquisition, made
         if before is not None:
             before.close()
         self.question_closed.emit()
         made.start()
         self.connected.emit()
-        begin = self._access.begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
+        begin = self.access.begin if is_lit or self.is_attached else partial(start_up, is_lit=False)
         self._pending = [(future, None, None) for future in begin(made)]
 
     def close(self, meanwhile: Callable[[], object]) -> None:

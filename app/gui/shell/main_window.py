@@ -251,7 +251,7 @@ class MainWindow(QMainWindow):
                 self.messages.warn(left_behind(self.controller.status, CLOSING_S))
                 self._timer.start()
                 return
-            self.controller.use(access, self._show_closing)
+            self.controller.access = access
             if (status := self.controller.status) is not None and not self.controller.left:
                 self.show_status(_ended(status))
             self.recording_bar.refresh()  # the recording has ended

@@ -44,7 +44,9 @@ class VerdictButton(Button):
         if measurement is not None and wavefront is not None:
             valid = wavefront.displacement.valid[wavefront.displacement.present]
             self.valid = f"{np.count_nonzero(valid)} of {valid.size}"
-            numbers += [self.valid, *_sigma(shown)]
+            numbers.append(self.valid)
+            if shown.sigma_rad is not None:
+                numbers.append(f"\N{PLUS-MINUS SIGN} {number(shown.sigma_rad * shown.per_rad, 2)} {shown.unit}")
             word, lamp, colour = "GOOD", "good", theme.GREEN
             if not valid.all():
                 self.cause, lamp, colour = "lenslet", "doubtful", theme.AMBER
@@ -74,12 +76,6 @@ class VerdictButton(Button):
             self.setAccessibleName(f"{word} {numbers}")
             self.setIcon(theme.validity_lamp(lamp))
             theme.restyle(self, "tone", theme.tone(colour))
-
-
-def _sigma(shown: DisplayState) -> list[str]:
-    if shown.sigma_rad is None:
-        return []
-    return [f"\N{PLUS-MINUS SIGN} {number(shown.sigma_rad * shown.per_rad, 2)} {shown.unit}"]
 
 
 def _assumed(measurement: Measurement) -> list[str]:
