@@ -24,9 +24,8 @@ _FITS_SUFFIXES = {".fits", ".fit", ".fts", ".fz", ".gz"}
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".npz", ".h5", ".hdf5", ".mat", ".png", ".bmp", ".pgm"} | _FITS_SUFFIXES)
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
-_JPEG, _FITS, _PICTURES = b"\xff\xd8\xff", b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
-_TEXT, _GZIP = b"P2", b"\x1f\x8b"
-_OF_NUMBERS = b"0123456789+-.,;eE \t\r\n"
+_FITS, _PICTURES = b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
+_GZIP = b"\x1f\x8b"
 _INDEX = re.compile(r"\[(-?\d{1,9})\]$")
 _TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # of either order of bytes; the last two of BigTIFF
 
@@ -107,18 +106,9 @@ def _read(place: ImagePlace) -> NDArray[Any]:
         return _read_npy(path, index)
     if start.startswith(_PICTURES):
         return plane_of(_read_picture(path), index) if index is not None else _read_picture(path)
-    raise ValueError(_refusal(start))
-
-
-def _refusal(start: bytes) -> str:
-    """Return why a file with these first bytes is not read, and what to do."""
-    if start.startswith(_TEXT):
-        return "it holds its numbers as text; save it as a binary PGM (P5)"
-    if start.startswith(_JPEG):
-        return "JPEG changes the light of every pixel; save the frame in another format"
-    if not start.strip(_OF_NUMBERS):
-        return "it holds its numbers as text; save the frame as TIFF or NPY"
-    return "it is another kind of file; save the frame as TIFF with the bits of the camera"
+    raise ValueError(
+        "it is another kind of file, such as text or JPEG; save the frame as TIFF with the bits of the camera"
+    )
 
 
 def _read_npy(path: Path, index: int | None) -> NDArray[Any]:

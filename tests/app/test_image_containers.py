@@ -134,7 +134,7 @@ BAD: dict[str, tuple[Callable[[Path], object], str]] = {
     "numbers.npz": (lambda path: np.savez(path, a=np.arange(5)), "it holds no image"),
     "objects.npz": (lambda path: np.savez(path, a=np.array([{}, None])), "it holds no image"),
     "packed.gz": (lambda path: path.write_bytes(gzip.compress(b"text")), "corrupt FITS file"),
-    "a.csv": (lambda path: path.write_text("1,2,3\n4,5,6\n"), "its numbers as text; save the frame as TIFF or NPY"),
+    "a.csv": (lambda path: path.write_text("1,2,3\n4,5,6\n"), "such as text or JPEG; save the frame as TIFF"),
     "a.gif": (lambda path: path.write_bytes(b"GIF89a" + bytes(range(200))), "save the frame as TIFF"),
     "a.tif:x": (lambda path: tifffile.imwrite(path, IMAGE), "only HDF5, MAT and NPZ hold arrays with names"),
     "a.png[1]": (lambda path: path.write_bytes(b"BM" + bytes(60)), "cannot be read as"),

@@ -204,7 +204,7 @@ def test_colour_and_jpeg_are_refused(tmp_path: Path) -> None:
     Image.fromarray(pixels).save(tmp_path / "frame.jpg")
     with pytest.raises(InputError, match="is a colour image; save one of its channels as a grey image"):
         read_image(tmp_path / "colour.png")
-    with pytest.raises(InputError, match="JPEG changes the light of every pixel"):
+    with pytest.raises(InputError, match="such as text or JPEG; save the frame as TIFF"):
         read_image(tmp_path / "frame.jpg")
 
 
@@ -220,8 +220,8 @@ def test_damaged_picture_is_refused(tmp_path: Path) -> None:
     ("name", "content", "sentence"),
     [
         ("empty.tif", b"", "it is empty"),
-        ("text.pgm", b"P2\n2 1\n255\n1 2\n", "it holds its numbers as text"),
-        ("frame.pdf", b"%PDF-1.4\n", "it is another kind of file; save the frame as TIFF"),
+        ("text.pgm", b"P2\n2 1\n255\n1 2\n", "it is another kind of file"),
+        ("frame.pdf", b"%PDF-1.4\n", "it is another kind of file"),
         ("cut.png", b"\x89PNG\r\n\x1a\n" + bytes(40), "it is damaged or too large"),
     ],
 )
