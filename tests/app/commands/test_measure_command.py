@@ -20,7 +20,7 @@ from support.patience import HANG_S, wait_until
 from support.simulated_scene import unplug
 
 from app.acquisition.devices import open_devices
-from app.acquisition.instrument import Instrument
+from app.acquisition.session import LiveBench
 from app.bench.config import Bench
 from app.errors import Interrupted, RunError
 from app.measurement.averages import FRAMES
@@ -68,7 +68,7 @@ def test_measure_that_recorded_nothing_can_be_repeated(
 
     command = ("measure", "--bench", small_toml, "--frames", "3", "--out", tmp_path / "m")
     with monkeypatch.context() as unplugged:
-        unplugged.setattr(Instrument, "_set_running", fail)
+        unplugged.setattr(LiveBench, "_start_camera", fail)
         assert run(monkeypatch, *command) == 1
     assert "the camera is gone" in capsys.readouterr().err
     assert not (tmp_path / "m").exists()
