@@ -183,7 +183,7 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
 
 def _run_in_window(run: HeadlessRun, steps: Iterator[None], *, with_panels: bool) -> None:
     from app.gui.application import run_window
-    from app.gui.shell.instrument_factory import InstrumentFactory
+    from app.results.player import InstrumentFactory
 
     def open_run(window: MainWindow) -> None:
         if with_panels:

@@ -28,9 +28,9 @@ if TYPE_CHECKING:
     from app.acquisition.remote.own_connection import OwnConnection
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.bench.config import Bench
-    from app.gui.shell.instrument_factory import InstrumentFactory
     from app.gui.shell.main_window import MainWindow
     from app.measurement.measurement import FrameTotals, Measurement
+    from app.results.player import InstrumentFactory
     from app.timing import StageTimes, TimedStage
 
 _LIVE_OUT = Path("svwfs-output")
@@ -80,7 +80,7 @@ def live(
     elif replay is None and is_attended:
         offers_last = bench is None and not setting
         raise typer.Exit(bench_window(bench or DEFAULT, overrides, name, trust=trust_library, offers_last=offers_last))
-    from app.gui.shell.instrument_factory import InstrumentFactory
+    from app.results.player import InstrumentFactory, Player
 
     if attach:
         loaded, access = _attached(name)
@@ -91,8 +91,6 @@ def live(
         terminal.confirm_libraries(loaded, is_trusted=trust_library)
         access = InstrumentFactory(partial(Acquisition, loaded))
     else:
-        from app.results.player import Player
-
         player = Player(replay, bench=bench, settings=overrides, frames=frames)
         loaded, access = player.bench, InstrumentFactory(player.acquisition, player.begin, player)
     if is_attended:
@@ -166,7 +164,7 @@ def _run(open_first: Callable[[MainWindow], object], own: OwnInstrument) -> int:
 def _attached(name: str) -> tuple[Bench, InstrumentFactory]:
     """Return the bench of an instrument of another process, and the window's access to it."""
     from app.acquisition.remote.connection import Connection, reach
-    from app.gui.shell.instrument_factory import InstrumentFactory
+    from app.results.player import InstrumentFactory
 
     first = reach("window", name)  # before there is a window: if none runs, the terminal says
 

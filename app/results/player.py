@@ -5,12 +5,13 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
 from app.acquisition.instrument import Instrument
 from app.acquisition.remote.connection import RunningInstrument
+from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench, load_bench
 from app.errors import InputError
@@ -192,3 +193,12 @@ class Player:
         if self._camera is not None:
             self._camera.in_force = number
         instrument.use(self._calibration(number))
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentFactory:
+    """Makes and begins the acquisition of a window, of devices or a recording, and another after each reconnection."""
+
+    make: Callable[[], RunningInstrument]
+    begin: Callable[[RunningInstrument], tuple[Future[Any], ...]] = start_up  # sends the first commands
+    player: Player | None = None  # of a recording

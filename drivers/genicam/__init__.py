@@ -19,12 +19,8 @@ class GenicamSettings:
     device: Annotated[str, Doc("Name in `svwfs devices`, serial number or address; empty takes the only one")] = ""
     pixel_pitch_m: PitchSetting | None = None
     pixel_format: Annotated[str, Doc('Pixel format, for example "Mono12"; empty: the deepest without padding')] = ""
-    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: found in frames")] | None = (
-        None
-    )
-    byte_order: Annotated[
-        Literal["", "little", "big"], Doc("Byte order of 16-bit pixels; empty: as the model needs")
-    ] = ""
+    full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel; omitted: of frames")] | None = None
+    byte_order: Annotated[Literal["", "little", "big"], Doc("Byte order of 16-bit pixels; empty: the model's")] = ""
     exposure_s: ExposureSetting | None = None
     gain: Annotated[float, Ge(-1e5), Le(1e5), Doc("Analogue gain in the camera's unit, mostly dB")] | None = None
     frame_rate_hz: Annotated[float, Gt(0), Le(1e6), Doc("Frame rate; omitted: the highest")] | None = None
@@ -32,9 +28,7 @@ class GenicamSettings:
     region: RegionSetting | None = None
     trigger: Annotated[str, Doc("Trigger: internal, or an input of the camera, such as Line0")] = "internal"
     buffers: Annotated[int, Ge(2), Le(10000), Doc("Frames buffered before the next is lost")] = 32
-    packet_size: (
-        Annotated[int, Ge(576), Le(65535), Doc("Bytes of a GigE packet; omitted: the largest possible")] | None
-    ) = None
+    packet_size: Annotated[int, Ge(576), Le(65535), Doc("Bytes of a GigE packet; omitted: the largest")] | None = None
     socket_buffer_bytes: Annotated[
         int, Ge(2**16), Le(2**30), Doc("Receive buffer of a GigE camera; the system may grant less (net.core.rmem_max)")
     ] = 2**24

@@ -10,12 +10,9 @@ from drivers.errors import BadValue, Unsupported, attempt
 from drivers.genicam._connection import GenicamConnection
 
 # In this order: the exposure mode, for example, may lock the automatic exposure. The first value that fits is set.
-_OFF: Final = ("false", "Off", "Disabled", "ContrastMode_Off")
+_OFF: Final[tuple[str, ...]] = ("false", "Off", "Disabled", "ContrastMode_Off")
 _ONE: Final = ("1", "X1", "Off")
-FRAME_RATE: Final[dict[str, tuple[str, ...]]] = {  # a leftover rate caps the exposure
-    "AcquisitionFrameRateEnable": _OFF,
-    "AcquisitionFrameRateEnabled": _OFF,
-}
+FRAME_RATE: Final = dict.fromkeys(("AcquisitionFrameRateEnable", "AcquisitionFrameRateEnabled"), _OFF)  # cap exposures
 # Switches, some of them selections, that change counts, mix frames or cycle exposures: all names that the public
 # descriptions of 88 cameras have for them.
 _SWITCHES: Final = (
@@ -36,28 +33,17 @@ RESETS: Final[dict[str, tuple[str, ...]]] = {
     **FRAME_RATE,
     "Gamma": ("1",),  # before it is disabled, which may lock it
     **dict.fromkeys(_SWITCHES, _OFF),
-    "SharpnessEnhancement": ("1",),  # 1 changes nothing
-    "SharpnessEnhancementAbs": ("1",),
-    "BslSharpnessEnhancement": ("1",),
+    **dict.fromkeys(("SharpnessEnhancement", "SharpnessEnhancementAbs", "BslSharpnessEnhancement"), ("1",)),
     "Sharpness": ("0",),
-    "NoiseReduction": ("0", "Off"),
-    "NoiseReductionAbs": ("0",),
-    "BslNoiseReduction": ("0",),
+    **dict.fromkeys(("NoiseReduction", "NoiseReductionAbs", "BslNoiseReduction"), ("0", "Off")),
     "BslContrastMode": ("Linear",),
     "BslContrast": ("0",),
     "DigitalShift": ("0",),
     "ImageCompressionMode": _OFF,  # its frames would be too short
     "IspEnable": _OFF,  # after what it contains
     "LUTEnable": _OFF,
-    "DecimationVertical": _ONE,
-    "DecimationHorizontal": _ONE,
-    "BinningVertical": _ONE,
-    "BinningHorizontal": _ONE,
-    "ReverseX": _OFF,
-    "ReverseY": _OFF,
-    "ChunkModeActive": _OFF,
-    "GevSCPSBigEndian": _OFF,
-    "pgrPixelBigEndian": _OFF,
+    **dict.fromkeys(("DecimationVertical", "DecimationHorizontal", "BinningVertical", "BinningHorizontal"), _ONE),
+    **dict.fromkeys(("ReverseX", "ReverseY", "ChunkModeActive", "GevSCPSBigEndian", "pgrPixelBigEndian"), _OFF),
 }
 
 

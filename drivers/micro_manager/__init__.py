@@ -5,10 +5,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
-from annotated_types import Ge, Gt, Le, MinLen
+from annotated_types import Ge, Le, MinLen
 from typing_extensions import Doc
 
-from drivers.camera import ExposureSetting, RegionSetting
+from drivers.camera import ExposureSetting, PitchSetting, RegionSetting
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -20,9 +20,7 @@ class MicroManagerSettings:
     device: Annotated[str, MinLen(1), Doc('Name of the camera in the adapter, for example "Andor sCMOS Camera"')]
     adapter_folder: Annotated[str, Doc("Folder of Micro-Manager with its adapters")] = ""
     properties: Annotated[dict[str, str], Doc("Properties, by the adapter's names")] = field(default_factory=dict)
-    pixel_pitch_m: (
-        Annotated[float, Gt(0), Le(1e-3), Doc("Pixel pitch of the sensor; Micro-Manager does not know it")] | None
-    ) = None
+    pixel_pitch_m: PitchSetting | None = None
     full_scale: Annotated[int, Ge(1), Le(65535), Doc("Count of a saturated pixel, if not 2**bits - 1")] | None = None
     exposure_s: ExposureSetting | None = None
     binning: Annotated[int, Ge(1), Le(64)] = 1

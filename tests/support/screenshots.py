@@ -23,10 +23,9 @@ from app.acquisition.commands import Commands
 from app.acquisition.devices import open_devices
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.theme import styled_application, use_theme
-from app.results.player import Player
+from app.results.player import InstrumentFactory, Player
 from app.results.view_maps import Quantity
 from support.paths import DOCS, ROOT
 from support.window_tools import tabs, use_font

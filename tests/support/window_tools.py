@@ -20,9 +20,9 @@ from pytestqt.qtbot import QtBot
 from app.acquisition.start_up import start_up
 from app.acquisition.worker import Acquisition
 from app.gui.panels.panel import Panel
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.measurement.averages import FRAMES
+from app.results.player import InstrumentFactory
 from reconstruction.arrays import Floats
 from support.gui_bench import BENCH, SENSOR, FakeCamera, opener
 from support.patience import HANG_S

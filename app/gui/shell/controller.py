@@ -17,10 +17,10 @@ from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_connection import OwnConnection
 from app.acquisition.start_up import start_up
 from app.errors import InputError, RunError
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.messages import MessageStrip
 from app.gui.widgets.timers import REFRESH_MS
 from app.measurement.routines import Cancelled
+from app.results.player import InstrumentFactory
 
 T = TypeVar("T")
 Then = Callable[[Any], object] | None  # receives a result

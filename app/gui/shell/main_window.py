@@ -31,7 +31,6 @@ from app.gui.shell.calibration import CalibrationGuide
 from app.gui.shell.controller import Controller, SettingsControl
 from app.gui.shell.docks import PanelDocks, make_panels
 from app.gui.shell.help import help_entries
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.light_control import EmergencyKeys, LightControl
 from app.gui.shell.menus import fill_menus
 from app.gui.shell.messages import MessageStrip
@@ -49,6 +48,7 @@ from app.gui.widgets.layouts import column, row
 from app.gui.widgets.timers import REFRESH_MS, timer
 from app.images import SUFFIXES
 from app.measurement.measurement import Measurement
+from app.results.player import InstrumentFactory
 from app.timing import Timings
 from drivers.light_source import MAY_BE_ON
 

@@ -25,10 +25,10 @@ from app.acquisition.start_up import HeadlessRun
 from app.acquisition.worker import Acquisition
 from app.errors import Interrupted, RunError
 from app.gui.application import headless_steps, run_window
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.copies import save_numbers
 from app.measurement.measurement import Measurement
+from app.results.player import InstrumentFactory
 from drivers.interface import Disconnected
 
 pytestmark = pytest.mark.usefixtures("restored_theme")

@@ -36,10 +36,10 @@ from app.gui.panels.lenslet import LensletPanel
 from app.gui.panels.panel import Panel
 from app.gui.panels.quality import QualityPanel
 from app.gui.panels.wavefronts import WavefrontPanel
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets.presentation import NOTHING
 from app.recording.reader import Recording
+from app.results.player import InstrumentFactory
 from app.results.view_maps import Quantity
 from app.run_facts import MAIN
 from reconstruction.reconstructor import Reconstructor

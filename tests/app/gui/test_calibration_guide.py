@@ -14,8 +14,8 @@ from test_window_calibration import is_about, move_lattice
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE, STEPS, CalibrationStep
 from app.acquisition.worker import Acquisition
 from app.gui.shell.calibration import CalibrationGuide
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
+from app.results.player import InstrumentFactory
 from drivers.interface import Frame
 
 

@@ -16,11 +16,11 @@ from support.window_tools import LENSLETS, MakeWindow, count_pixels, dim_frame, 
 
 from app.acquisition.worker import Acquisition
 from app.gui.shell.help import TextDialog
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.calibration import Calibration
 from app.measurement.measurement import Assumptions, RefinementState
+from app.results.player import InstrumentFactory
 from drivers.interface import Disconnected
 from reconstruction.displacement import LensletStatus
 from reconstruction.reconstructor import Reconstructor

@@ -13,10 +13,10 @@ from support.patience import HANG_S
 from support.window_tools import acquisition_of, press, wait_for_wavefront
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.recording.reader import Recording
+from app.results.player import InstrumentFactory
 
 
 @pytest.fixture

@@ -21,8 +21,8 @@ from support.window_tools import MakeWindow, click, tab, wait_for_wavefront
 from app.acquisition.remote.connection import reach
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
+from app.results.player import InstrumentFactory
 
 COARSE = "simulation.object_samples=11", "simulation.pupil_samples=10"  # rendered sooner, of the same size
 

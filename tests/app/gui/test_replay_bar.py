@@ -25,14 +25,13 @@ from support.served import served
 from support.window_tools import click, part, picture, press
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.gui.widgets import theme
 from app.measurement.measurement import FrameTotals, Measurement
 from app.recording.folder import describe
 from app.recording.reader import Recording
 from app.results.history import RMS
-from app.results.player import Player
+from app.results.player import InstrumentFactory, Player
 
 FRAMES = 8
 

@@ -10,9 +10,9 @@ from support.gui_bench import BENCH, FakeCamera, opener
 from support.optics import sensor_of
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.results.history import RMS
+from app.results.player import InstrumentFactory
 
 
 @pytest.mark.slow

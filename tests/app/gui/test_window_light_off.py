@@ -20,9 +20,9 @@ from test_calibration_guide import ExposedCamera
 from app.acquisition.instrument import Instrument
 from app.acquisition.worker import Acquisition
 from app.bench.config import Bench
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
 from app.measurement.measurement import Measurement
+from app.results.player import InstrumentFactory
 from drivers.interface import Devices, Disconnected, Frame
 
 

@@ -14,8 +14,8 @@ from support.manual_bench import MANUAL
 from support.window_tools import MakeWindow, press
 
 from app.acquisition.worker import Acquisition
-from app.gui.shell.instrument_factory import InstrumentFactory
 from app.gui.shell.main_window import MainWindow
+from app.results.player import InstrumentFactory
 from drivers.interface import Devices, Disconnected
 from drivers.manual_light import ManualLight, ManualLightSettings
 

@@ -53,7 +53,7 @@ from pathlib import Path
 from app.acquisition.start_up import HeadlessRun
 from app.acquisition.remote.connection import reach
 from app.gui.application import headless_steps, run_window
-from app.gui.shell.instrument_factory import InstrumentFactory
+from app.results.player import InstrumentFactory
 
 connection = reach("client")
 
