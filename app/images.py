@@ -58,10 +58,7 @@ def name_of(path: Path) -> str:
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read a grey image (row, column) from a file; `InputError` if it holds none.
-
-    The first bytes tell the format. Three equal channels are one grey image. See `ImagePlace` for files of several.
-    """
+    """Read a grey image (row, column) at an `ImagePlace`, by its first bytes; `InputError` if it holds none."""
     place = place_of(path)
     check_readable(place.file)
     try:

@@ -62,10 +62,7 @@ class Frame:
 
 
 class SettingsInForce:
-    """Exposure (s) and gain of each frame of a run in which they may change; cameras do not report them.
-
-    Frames are distinguished by their index, or by the time at which they end.
-    """
+    """Exposure (s) and gain of each frame of a run, by its index or end; cameras do not report them."""
 
     def __init__(self, exposure_s: float, em_gain: float) -> None:
         self._changes = [(-math.inf, exposure_s, em_gain)]  # first frame, exposure, gain
@@ -75,10 +72,7 @@ class SettingsInForce:
         self._changes.append((first, exposure_s, em_gain))
 
     def of_frame(self, frame: float) -> tuple[float, float]:
-        """Return exposure and gain of a frame; later calls are for later frames.
-
-        What is already forgotten counts as the oldest retained: a clock may have been set back.
-        """
+        """Return exposure and gain of a frame; later calls are for later frames, or the oldest left."""
         newest = max((place for place, (first, _, _) in enumerate(self._changes) if first <= frame), default=0)
         del self._changes[:newest]
         return self._changes[0][1:]

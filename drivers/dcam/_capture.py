@@ -20,11 +20,7 @@ _STAMPS = 2**16  # some interfaces carry only 16 bits of the camera's frame numb
 
 
 class Capture:
-    """One capture, from `begin` to `end`.
-
-    A frame's index is the library's count of transferred frames plus those lost before transfer, which follow from the
-    camera's own frame numbers.
-    """
+    """One capture. A frame's index is the library's count plus those lost before transfer, by the camera's count."""
 
     def __init__(
         self,

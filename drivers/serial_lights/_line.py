@@ -91,10 +91,7 @@ class SerialLine:
         self._is_cut = False
 
     def query(self, text: str, pattern: str = r".+") -> re.Match[str]:
-        """Send a query and return the first line that matches as a whole; an empty line never does.
-
-        Raises `DeviceTimeout` if nothing came in time, `DeviceError` if only other lines came.
-        """
+        """Send a query; return the first matching line. `DeviceTimeout` without any, `DeviceError` with others."""
         return self.query_lines(text, pattern, 1)[0]
 
     def query_lines(self, text: str, pattern: str, count: int) -> list[re.Match[str]]:
@@ -227,10 +224,7 @@ def no_permission(port: str) -> str:
 
 
 def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[DiscoveredDevice, ...]:
-    """Return USB serial ports of such a device, certain if the adapter's text has one of `words`.
-
-    Opens nothing, because a query could disturb another device.
-    """
+    """Return the USB serial ports, unopened, of such a device; certain if an adapter's text has one of `words`."""
     devices = []
     for port in list_ports.comports():
         if port.vid is None:  # built in, or a pseudo-terminal

@@ -23,10 +23,7 @@ class OwnConnection(Connection):
     _retakes_control = True
 
     def __init__(self, bench: Bench, name: str, process: Child, *, log: Path, forget_bench: Callable[[], None]) -> None:
-        """Begin to connect to a process that has just been started, and prints into the file `log`.
-
-        `forget_bench` removes the file of the bench. If it cannot be reached, that is the connection's `error`.
-        """
+        """Begin to connect to a process just started, which prints into `log`; `forget_bench` removes its file."""
         self.bench, self.process, self._log, self._forget_bench = bench, process, log, forget_bench
         self._is_ending = self.goes_on = False
         super().__init__("window", Address(name, process.pid, endpoint="", key=""))

@@ -141,10 +141,7 @@ class Controller(QObject):
         return all(future.done() for future, _, _ in self._pending)
 
     def connect_devices(self, *, is_lit: bool) -> None:
-        """Start an acquisition, if a bench is open, and close the previous one; `is_lit`: see `start_up`.
-
-        `RunError` if there is no instrument to connect to: the one before, and its failure, stay.
-        """
+        """Start an acquisition of `access`, if any, and close the one before; it stays after a `RunError`."""
         if self.access is None:
             return
         made = self.access.make()

@@ -238,11 +238,7 @@ class MainWindow(QMainWindow):
         self.open(InstrumentFactory(partial(self._make_for, bench)))
 
     def open(self, access: InstrumentFactory) -> None:
-        """Close the devices and connect others.
-
-        The user is asked first if a recording is under way, or the light must be switched off by hand. If a device
-        hangs, which cannot be opened again, nothing else is opened.
-        """
+        """Close the devices, after questions about recording and light, and connect others unless one hangs."""
 
         def connect() -> None:
             self._timer.stop()

@@ -111,10 +111,7 @@ class Timeline(QSlider):
 
 
 class ReplayBar(QFrame):
-    """Moves through the frames of a player; hidden without one.
-
-    A move stops the replay. While the slider is dragged, only the newest position is shown: reconstruction may be slow.
-    """
+    """Moves through the frames of a player, under a drag to the newest position only; hidden without one."""
 
     def __init__(self, controls: ControlsPanel, warn: Callable[[str], object]) -> None:
         """Play and stop with the start button of the `controls`, whose devices are disabled; `warn` of lost frames."""

@@ -16,10 +16,7 @@ _CURSOR_PX = 2  # that Qt leaves next to a chosen text
 
 
 class Button(QPushButton):
-    """A button that does not take the focus when clicked.
-
-    While it has the focus, Space and Return press it, although both are shortcuts of the window.
-    """
+    """A button that a click gives no focus; with it, Space and Return press it, though both are shortcuts."""
 
     def __init__(self, text: str, tool_tip: str, clicked: Slot | None = None) -> None:
         super().__init__(text)

@@ -154,10 +154,7 @@ class NumberField(QDoubleSpinBox):
 
 
 class TextField(QLineEdit):
-    """Emits a changed text when the user leaves it, also by Return or Esc, which erases nothing.
-
-    Keys are typed into it only after a click: Tab does not reach it, and a click anywhere else leaves it.
-    """
+    """Emits a changed text when it is left, by Return, Esc or a click elsewhere; only a click enters it."""
 
     entered = pyqtSignal(str)
 

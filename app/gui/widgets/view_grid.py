@@ -121,11 +121,7 @@ class ViewGrid(QWidget):
         widest: str = "",
         is_captioned: bool = True,
     ) -> None:
-        """Take at least this width and height, px; show the text `empty` without maps.
-
-        The numbers next to the colour bar have space for the `widest` one, so that several grids are alike. Without
-        captions, the maps take their space.
-        """
+        """Take at least this width and height, px; show `empty` without maps, and space for the `widest` number."""
         super().__init__(parent)
         self._is_captioned = is_captioned
         self.has_bar: bool | None = None  # None: if there is space
