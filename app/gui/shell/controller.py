@@ -31,7 +31,6 @@ _MODES = {Commands.set_amplifier, Commands.set_readout_speed}  # they return wha
 _SILENT_S = 5.0  # for the end of a process that does not answer
 _FRAMES_MS = 500  # between two changes of the bench: they stop the camera
 _NOT_ATTACHED = "this window runs the instrument itself: svwfs live --attach opens one on another process"
-_OVERTAKEN = "frames overtaken: replaced by the instrument before, or while, this window read them"
 _STARTS = "the instrument is starting: wait until it is reached"
 
 
@@ -107,12 +106,11 @@ class Controller(QObject):
 
     @property
     def about_processes(self) -> str:
-        """Lines: the state of each process of the instrument, its clients, and overtaken frames."""
+        """Lines: the state of each process of the instrument, and its clients."""
         lines = [f"{each.name}: process {each.pid}, {each.condition}" for each in self.processes]
         if (process := self._process) is not None:
             has_clients = process.is_alive and self.processes[0].condition != "gone"
             lines += [f"connected: {', '.join(process.clients)}"] * has_clients
-            lines += [f"{process.frames.overtaken} {_OVERTAKEN}"]
         return "\n".join(lines)
 
     @property

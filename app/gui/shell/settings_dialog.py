@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable
-from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
 
@@ -19,8 +18,6 @@ from app.gui.widgets.copies import ask_file
 from app.gui.widgets.file_work import FileWork
 from app.gui.widgets.layouts import Scrolled, fill_dialog, row, within_screen
 from app.gui.widgets.texts import ElidedLabel, colour_text, label, mark_refused
-from app.gui.widgets.timers import timer
-from app.progress import run_in_thread
 from drivers.device import DiscoveredDevice
 
 _DETAIL = re.compile(r" \(.*?\)(?=:)")  # of an error, before the advice: a system's words, in its language
@@ -41,7 +38,7 @@ class SettingsDialog(QDialog):
         self._before: Bench | None = None  # the edited bench; None for a new one
         self._found: list[DiscoveredDevice] = []
         self._saving = FileWork(self, lambda why: self._show_problem(why, None))
-        self._search: Future[tuple[list[DiscoveredDevice], list[str]]] | None = None
+        self._search = FileWork(self, lambda why: self._show_problem(why, None))
         self.editors: dict[str, tuple[FormField, QWidget]] = {}
         self.sections, self.pages = QListWidget(), QStackedWidget()
         self.sections.setAccessibleName("Sections")
@@ -63,7 +60,6 @@ class SettingsDialog(QDialog):
         ends = row((self.problem, 1), self.apply, self.save, close_button(self, "Change nothing (Esc)"))
         parts = self.devices, (row(self.sections, (self.pages, 1)), 1), ends
         fill_dialog(self, *parts)
-        self._timer = timer(self, 100, self._poll)
 
     def edit(self, bench: Bench, section: str) -> None:
         self.setWindowTitle("Settings of the bench")
@@ -85,17 +81,13 @@ class SettingsDialog(QDialog):
         self.apply.setToolTip("Connect the devices with these settings")
         self._before = None
         self._begin(SettingsForm.of(template, is_new=True))
-        if self._search is None:
+        if not self._search.is_busy:
             self._found = []
             self.failed.setText("")
-            self._search, _ = run_in_thread(_discover, "device search")
-            self._timer.start()
+            self._search.run(_discover, self._show_found)
 
-    def _poll(self) -> None:
-        if self._search is None or not self._search.done():
-            return
-        (self._found, failed), self._search = self._search.result(), None
-        self._timer.stop()
+    def _show_found(self, found: tuple[list[DiscoveredDevice], list[str]]) -> None:
+        self._found, failed = found
         self.failed.setText("\n".join(_DETAIL.sub("", one).replace("`", "") for one in failed))
         self.failed.setToolTip("\n".join(failed))
         for kind, choice in self._choices.items():

@@ -204,7 +204,7 @@ def test_new_bench_is_not_red_before_anything_is_typed(benches: Benches, qtbot: 
     rows = write(dialog, "sensor.lenslet_rows", "many")
     assert dialog.problem.property("tone") == "red"
     assert "color" in rows.styleSheet()
-    qtbot.waitUntil(lambda: dialog._search is None)
+    qtbot.waitUntil(lambda: not dialog._search.is_busy)
 
 
 def test_reason_of_a_failed_search_is_plain(benches: Benches, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -212,6 +212,6 @@ def test_reason_of_a_failed_search_is_plain(benches: Benches, qtbot: QtBot, monk
     monkeypatch.setattr(DeviceKind, "discover", lambda kind: ((), why if kind.driver == "dcam" else ""))
     benches.make()
     dialog = dialog_of(benches)
-    qtbot.waitUntil(lambda: dialog._search is None)
+    qtbot.waitUntil(lambda: not dialog._search.is_busy)
     assert dialog.failed.text().endswith("not searched: the API cannot be loaded: install it, then svwfs devices")
     assert dialog.failed.toolTip().endswith(why)
