@@ -37,11 +37,11 @@ BESIDE_OWN_FILES = """
 import svwfs
 
 if __name__ == "__main__":
-    import app, drivers.manual_light, simulated_devices
+    import app, drivers.light_source, simulated_devices
     from app.acquisition.watchdog_light import WatchdogLight
 
     try:
-        WatchdogLight(drivers.manual_light.ManualLightSettings())
+        WatchdogLight(drivers.light_source.ManualLightSettings())
     except svwfs.WrongState as error:  # from the other process: nobody has switched the light off
         assert "confirm" in str(error)
     print(svwfs.load_bench("small_demo").sensor.lenslet_rows)

@@ -18,9 +18,8 @@ from typing import ParamSpec, TypeVar
 
 from app.acquisition import devices as bench_devices
 from app.acquisition.command_queue import CommandQueue, done
-from app.acquisition.commands import Commands
 from app.acquisition.frame_path import FramePath, Sink, read_frame
-from app.acquisition.instrument import Activity, Instrument, ProcessState, Status
+from app.acquisition.instrument import Activity, Commands, Instrument, ProcessState, Status
 from app.acquisition.streams.publisher import Publisher
 from app.bench.config import Bench
 from app.errors import InputError, RunError

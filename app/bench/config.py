@@ -23,7 +23,7 @@ from app.bench.device_kinds import DRIVERS, CameraSettings, DeviceSettings, Ligh
 from app.bench.settings_schema import Schema, read_section, section_schema, settings_class, unknown_key
 from app.errors import InputError
 from app.files import in_words, write_whole
-from drivers.manual_light import ManualLightSettings
+from drivers.light_source import ManualLightSettings
 from reconstruction.annotated_settings import Checked, SettingError, check
 from reconstruction.deconvolution.imaging import Imaging
 from reconstruction.frame.linearity import Linearity

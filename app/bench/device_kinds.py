@@ -11,7 +11,7 @@ from drivers.dcam import DcamSettings
 from drivers.device import DiscoveredDevice
 from drivers.errors import DeviceError
 from drivers.genicam import GenicamSettings
-from drivers.manual_light import ManualLightSettings
+from drivers.light_source import ManualLightSettings
 from drivers.micro_manager import MicroManagerSettings
 from drivers.serial_lights import CoolLEDSettings, DC4100Settings
 from drivers.usb_lights import DC2200Settings
@@ -110,7 +110,7 @@ _LIGHTS = (
         "CoolLED pE-300, pE-340fura and pE-4000, on serial ports",
         "pyserial",
     ),
-    DeviceKind(ManualLightSettings, "drivers.manual_light.ManualLight"),
+    DeviceKind(ManualLightSettings, "drivers.light_source.ManualLight"),
 )
 DRIVERS = {"camera": _by_driver(_CAMERAS), "light": _by_driver(_LIGHTS)}  # by section of a bench and name
 KINDS = tuple(kind for kinds in DRIVERS.values() for kind in kinds.values() if kind.heading)

@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from app.measurement.routines import RoutineCallbacks, RoutineError, check_lit, next_frame, restored
 from drivers.interface import BadValue, Devices, Range
-from drivers.manual_light import ManualLight
+from drivers.light_source import ManualLight
 from reconstruction.arrays import SIGMA_OF_MEDIAN
 
 FILL = 0.70  # of full scale

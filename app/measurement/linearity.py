@@ -10,7 +10,7 @@ from app.measurement.auto_exposure import auto_expose
 from app.measurement.averages import LEAST_EXPOSURE_FRAMES, Average, average
 from app.measurement.routines import RoutineCallbacks, RoutineError, check_lit, restored
 from drivers.interface import Devices
-from drivers.manual_light import ManualLight
+from drivers.light_source import ManualLight
 from reconstruction.arrays import Image
 from reconstruction.errors import ReconstructionError
 from reconstruction.frame.linearity_fit import LEAST_SPAN, Exposures, MeasuredLinearity

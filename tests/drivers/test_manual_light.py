@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from drivers.interface import BadValue, Range, WrongState
-from drivers.manual_light import ManualLight
+from drivers.light_source import ManualLight
 
 
 def test_light_counts_as_on_until_a_person_says_otherwise() -> None:

@@ -19,8 +19,8 @@ from PyQt6.QtCore import QEvent, QPoint, QRect, Qt
 from PyQt6.QtGui import QAction, QColor, QImage, QPainter
 from PyQt6.QtWidgets import QApplication, QDialog, QWidget
 
-from app.acquisition.commands import Commands
 from app.acquisition.devices import open_devices
+from app.acquisition.instrument import Commands
 from app.acquisition.worker import Acquisition
 from app.bench.config import load_bench
 from app.gui.shell.main_window import MainWindow

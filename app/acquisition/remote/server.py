@@ -20,9 +20,8 @@ import zmq
 
 from app.acquisition.address import Address, bound_log, file_of
 from app.acquisition.command_queue import done
-from app.acquisition.commands import Commands
 from app.acquisition.devices import OpenDevices
-from app.acquisition.instrument import Status
+from app.acquisition.instrument import Commands, Status
 from app.acquisition.remote.messages import Answer, Bye, Command, Hello, NewStatus, State, portable_error, watching
 from app.acquisition.serialization import MOST_BYTES, encoded, unpacked
 from app.acquisition.streams.publisher import Publisher

@@ -6,9 +6,8 @@ from functools import partial
 from PyQt6.QtCore import QEvent, QSize, pyqtSignal
 from PyQt6.QtWidgets import QAbstractButton, QAbstractSpinBox, QComboBox, QGridLayout, QSizePolicy, QWidget
 
-from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import Validity
-from app.acquisition.instrument import Status
+from app.acquisition.instrument import Commands, Status
 from app.acquisition.start_up import DARK, EXPOSURE, LATTICE, REFERENCE
 from app.bench.settings_form import name_of
 from app.gui.panels.panel import DisplayState, Entries, Panel

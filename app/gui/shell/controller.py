@@ -10,8 +10,7 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QMessageBox, QWidget
 
 from app.acquisition.address import CLOSING_S
-from app.acquisition.commands import Commands
-from app.acquisition.instrument import ProcessState, Status
+from app.acquisition.instrument import Commands, ProcessState, Status
 from app.acquisition.remote.connection import Connection, RunningInstrument
 from app.acquisition.remote.messages import watching
 from app.acquisition.remote.own_connection import OwnConnection

@@ -18,7 +18,7 @@ from app.acquisition.worker import Acquisition
 from app.commands.measure import measure_bench
 from app.errors import InputError, RunError
 from drivers.interface import Stage, WrongState
-from drivers.manual_light import ManualLight, ManualLightSettings
+from drivers.light_source import ManualLight, ManualLightSettings
 from drivers.stage import ManualStage
 
 

@@ -14,7 +14,7 @@ from app.bench.settings_form import FormField, SettingsForm, fault_in_words
 from app.errors import InputError
 from drivers.device import DiscoveredDevice
 from drivers.genicam import GenicamSettings
-from drivers.manual_light import ManualLightSettings
+from drivers.light_source import ManualLightSettings
 
 
 def fields(form: SettingsForm) -> dict[str, FormField]:

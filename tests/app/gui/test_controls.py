@@ -16,8 +16,8 @@ from support.patience import HANG_S
 from support.window_tools import MakeWindow, count_pixels, press, wait_for_wavefront
 
 from app.acquisition.command_queue import CommandQueue
-from app.acquisition.commands import Commands
 from app.acquisition.dark_reference_store import AverageState
+from app.acquisition.instrument import Commands
 from app.bench.device_kinds import DRIVERS
 from app.bench.settings_form import NAMES, name_of
 from app.gui.shell.main_window import MainWindow

@@ -16,7 +16,7 @@ from support.patience import HANG_S
 from support.window_tools import part, picture, press
 from test_number_field import type_text
 
-from app.acquisition.commands import Commands
+from app.acquisition.instrument import Commands
 from app.gui.shell.main_window import MainWindow
 from app.gui.shell.status_text import warning
 from app.gui.widgets import theme

@@ -19,7 +19,7 @@ from app.gui.shell.main_window import MainWindow
 from app.gui.shell.settings_dialog import SettingsDialog
 from drivers.device import DiscoveredDevice
 from drivers.genicam import GenicamSettings
-from drivers.manual_light import ManualLightSettings
+from drivers.light_source import ManualLightSettings
 
 CAMERA = DiscoveredDevice(kind="camera", driver="genicam", description="a camera", settings={"device": "Mako 7"})
 

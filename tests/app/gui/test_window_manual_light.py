@@ -17,7 +17,7 @@ from app.acquisition.worker import Acquisition
 from app.gui.shell.main_window import MainWindow
 from app.results.player import InstrumentFactory
 from drivers.interface import Devices, Disconnected
-from drivers.manual_light import ManualLight, ManualLightSettings
+from drivers.light_source import ManualLight, ManualLightSettings
 
 BENCH = replace(MANUAL, light=ManualLightSettings())
 

@@ -21,7 +21,7 @@ from app.measurement.offline_reconstructor import reconstructor
 from app.measurement.routines import NO_CALLBACKS, Cancelled, RoutineCallbacks, RoutineError
 from app.recording.calibration_files import read_calibration, write_calibration
 from drivers.interface import Devices, Range
-from drivers.manual_light import ManualLight
+from drivers.light_source import ManualLight
 from reconstruction.arrays import Floats
 from reconstruction.frame.linearity import Linearity
 from reconstruction.frame.linearity_fit import MeasuredLinearity

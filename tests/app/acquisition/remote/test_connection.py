@@ -131,7 +131,7 @@ def test_command_that_its_client_gave_up_is_not_executed_unless_it_switches_off(
             hear(server, identity, message, now_s)
 
         with monkeypatch.context() as frozen:
-            frozen.setattr("app.acquisition.remote.pending_commands.ANSWER_S", 1.2)
+            frozen.setattr("app.acquisition.remote.connection.ANSWER_S", 1.2)
             frozen.setattr(Server, "_hear", hear_late)
             with pytest.raises(RunError, match="does not answer"):
                 send().result(HANG_S)
