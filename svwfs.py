@@ -194,10 +194,8 @@ def save_result(path: str | Path, wavefront: Wavefront, bench: Bench) -> None:
 
     check_suffix(Path(path), ".nc")
     known, found = as_bench(bench), measured(wavefront).sensor
-    rows, columns = (
-        known.sensor.lenslet_rows or found.lenslet_rows,
-        known.sensor.lenslet_columns or found.lenslet_columns,
-    )
+    rows = known.sensor.lenslet_rows or found.lenslet_rows
+    columns = known.sensor.lenslet_columns or found.lenslet_columns
     sensor = replace(known.sensor, pupil=found.pupil, lenslet_rows=rows, lenslet_columns=columns)  # as it was found
     if (sensor, known.field) != (found, wavefront.field):
         raise InputError("the wavefront was measured with another sensor or field than the bench's")

@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from contextlib import suppress
 from copy import copy
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial, wraps
 from pathlib import Path
 from typing import Any, Concatenate, Literal, ParamSpec, Self, TypeAlias, TypeVar
@@ -66,24 +66,18 @@ class ProcessState:
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """Snapshot of the instrument."""
+class Status(AcquisitionSettings):
+    """Snapshot of the instrument, with the settings in force."""
 
     bench: Bench
     camera_name: str
     light_name: str
     capabilities: CameraCapabilities
     is_running: bool
-    area: SensorArea
-    exposure_s: float
-    amplifier: str
-    readout_speed: int
-    em_gain: float
     current_range_a: Range
     current_a: float
     is_light_on: bool
     masks: tuple[str, ...]
-    mask: str
     is_sample_in: bool
     is_replay: bool  # a recording plays in place of the devices
     dark: AverageState
@@ -96,6 +90,11 @@ class Status:
     has_background_estimator: bool = False  # of layers or a correction, which the first frames show
     processes: tuple[ProcessState, ...] = ()  # that were started for it
     temperature_c: float | None = field(default=None, compare=False)  # of the camera's sensor; None if unknown
+
+    @property
+    def area(self) -> SensorArea:
+        """The area of the sensor that is read out."""
+        return SensorArea(self.region, self.binning)
 
     @property
     def bench_in_force(self) -> Bench:
@@ -191,21 +190,16 @@ class Instrument:
             bench = replace(bench, sensor=replace(sensor, lenslet_rows=rows, lenslet_columns=columns))
         is_counted = None not in {bench.sensor.lenslet_rows, bench.sensor.lenslet_columns}
         return Status(
+            **{each.name: getattr(now, each.name) for each in fields(now)},
             bench=bench,
             camera_name=camera.name,
             light_name=light.name,
             capabilities=camera.capabilities,
             is_running=camera.is_running,
-            area=SensorArea(now.region, now.binning),
-            exposure_s=now.exposure_s,
-            amplifier=now.amplifier,
-            readout_speed=now.readout_speed,
-            em_gain=now.em_gain,
             current_range_a=light.current_range_a,
             current_a=light.current_a,
             is_light_on=light.is_on,
             masks=stage.masks,
-            mask=now.mask,
             is_sample_in=stage.is_sample_in,
             is_replay=isinstance(light, RecordedLight),
             dark=self.darks.state(of_dark),
