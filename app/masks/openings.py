@@ -194,11 +194,9 @@ def _rectangles(is_open: NDArray[np.bool_]) -> Iterator[tuple[int, int, int, int
 def narrowest_px(is_part: NDArray[np.bool_], *, is_cut_off: bool = False) -> int | None:
     """Return the width of the narrowest part of a picture, px; None if that is above about half of it.
 
-    The part is True in the picture (row, column). A square that is moved about inside a wide part reaches all of it,
-    but for rounded ends and the steps of slanting edges: so places closer than a quarter of its side count as reached.
-    The width is the side of the least square that leaves more. A disc has 0.5 to 0.8 of its diameter, a slanting line
-    0.7 to 1 of its width, a pointed end a pixel or a few: drawn as pixels it is that narrow. `is_cut_off` is true if
-    the part continues outside the picture.
+    The part is True in the picture (row, column), and continues outside if it `is_cut_off`. The width is the side of
+    the least square that, moved about inside, leaves places farther than a quarter of its side unreached. A disc has
+    0.5 to 0.8 of its diameter, a slanting line 0.7 to 1 of its width, a pointed end a pixel or a few.
     """
     most = max(1, max(is_part.shape) // (2 if is_cut_off else 1))
     fits, fails = 0, 1

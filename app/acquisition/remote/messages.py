@@ -14,11 +14,8 @@ from app.recording.recorder import RecordingState
 from drivers import errors
 from reconstruction.errors import ReconstructionError
 
-_ERRORS = (
-    *(errors.BadValue, errors.Busy, errors.DeviceError, errors.DeviceTimeout, errors.Disconnected),
-    *(errors.FrameLost, errors.Unsupported, errors.WrongState),
-    *(InputError, RunError, Cancelled, RoutineError, ReconstructionError),
-)
+_OF_DEVICES = {each for each in vars(errors).values() if isinstance(each, type) and issubclass(each, Exception)}
+_ERRORS: set[type] = _OF_DEVICES | {InputError, RunError, Cancelled, RoutineError, ReconstructionError}
 
 
 def watching(controller: str) -> str:
