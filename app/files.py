@@ -165,9 +165,7 @@ def _is_part(path: Path, other: Path) -> bool:
 def _is_recorded(path: Path) -> bool:
     """True if a path is, or would be, part of a recording; other files may lie next to its parts."""
     real = Path(os.path.realpath(path))
-    return any(
-        each.name in RECORDING_PARTS and each.with_name("frames.jsonl").is_file() for each in (real, *real.parents)
-    )
+    return any(one.name in RECORDING_PARTS and one.with_name("frames.jsonl").is_file() for one in (real, *real.parents))
 
 
 def check_suffix(path: Path | None, *suffixes: str) -> None:

@@ -112,11 +112,6 @@ class FieldCoefficients:
             raise ReconstructionError("double Zernikes are made of Zernike modes, not of Legendre modes")
         highest = self.field_order
         order = highest if field_order is None else field_order
-        if order > highest and self.field_modes.count == 1:
-            raise ReconstructionError(
-                f"field order {order} is unknown: the wavefront was measured at a single field position; use a warp"
-                " other than translation, or field order 0"
-            )
         if order > highest:
             raise ReconstructionError(
                 f"field order {order} exceeds that of the {self.field_modes.count} field modes, {highest}: use a higher"

@@ -38,16 +38,15 @@ def require(conditions: Mapping[str, bool]) -> None:
             raise ValueError(sentence)
 
 
+_Count = Annotated[int, Ge(2), Le(1000)]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensor(Checked):
     """A lenslet array in front of a camera."""
 
-    lenslet_rows: Annotated[int, Ge(2), Le(1000), Doc("Lenslets along y. Omitted: as the reference shows")] | None = (
-        None
-    )
-    lenslet_columns: (
-        Annotated[int, Ge(2), Le(1000), Doc("Lenslets along x. Omitted: as the reference shows")] | None
-    ) = None
+    lenslet_rows: Annotated[_Count, Doc("Lenslets along y. Omitted: as the reference shows")] | None = None
+    lenslet_columns: Annotated[_Count, Doc("Lenslets along x. Omitted: as the reference shows")] | None = None
     lenslet_pitch_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Distance between two lenslets, from the data sheet")]
     lenslet_focal_length_m: Annotated[
         float, Ge(1e-5), Le(2), Doc("Focal length of a lenslet at the wavelength; the camera is in its focal plane")
@@ -264,7 +263,7 @@ class Field(Checked):
     """
 
     collimator_focal_length_m: Annotated[
-        float, Ge(1e-3), Le(20), Doc("Focal length of the lens between source and lenslets")
+        float, Ge(1e-3), Le(20), Doc("Focal length of the collimator behind the source")
     ]
     half_width_m: Annotated[float, Ge(1e-6), Le(0.1), Doc("Half the side of the source, or its radius")]
     shape: Literal["square", "circle"] = "square"

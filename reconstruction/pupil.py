@@ -110,9 +110,8 @@ class Pupil(Checked):
             turn = np.array([1 + 1j, -1 + 1j, -1 - 1j, 1 - 1j, 1 + 1j])
         around = np.repeat(np.stack([turn.real, turn.imag], axis=-1), 2, axis=0)[1:-1]
         radii_m = self.radius_m * np.array([1.0, self.obscuration])
-        return np.asarray(
-            np.array([self.center_x_m, self.center_y_m]) + np.concatenate(radii_m[:, None, None] * around)
-        )
+        edges_m = np.concatenate(radii_m[:, None, None] * around)
+        return np.asarray(edges_m + np.array([self.center_x_m, self.center_y_m]))
 
     @property
     def in_words(self) -> str:

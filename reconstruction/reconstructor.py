@@ -460,9 +460,8 @@ class Reconstructor:
             at_rest,
             coefficients=np.zeros_like(at_rest.coefficients),
             covariance_source=np.broadcast_to(covariance, at_rest.covariance.shape),
-            outcome=np.full_like(
-                at_rest.outcome, LensletStatus.CONVERGED
-            ),  # a few lit lenslets could not carry the modes
+            # a few lit lenslets could not carry the modes
+            outcome=np.full_like(at_rest.outcome, LensletStatus.CONVERGED),
         )
         lattice_count = len(pupil_modes(sensor, "legendre", None).degree)
         modes = pupil_modes(sensor, "legendre", min(NOISE_MODES, lattice_count))

@@ -43,9 +43,7 @@ class RegistrationSettings(Checked):
     rotation: Annotated[bool, Doc("Rotation is fitted, Gauss-Newton only; thin layers cause none")] = False
     threads: Annotated[int, Ge(1), Le(64), Doc("Number of threads, Gauss-Newton only")] = THREADS
     excluded: Annotated[tuple[tuple[int, int], ...], Doc("Lenslets (row, column from 0) that are left out")] = ()
-    star_rows: Annotated[
-        int, Ge(1), Le(99), Doc("Centroids: stars of a pinhole mask; only those in the field count")
-    ] = STARS
+    star_rows: Annotated[int, Ge(1), Le(99), Doc("Centroids: stars of the mask; only those in the field count")] = STARS
     star_columns: Annotated[int, Ge(1), Le(99)] = STARS
     star_spacing_m: Annotated[float, Gt(0), Le(0.1)] = STAR_SPACING_M
 
@@ -65,9 +63,7 @@ class RegistrationSettings(Checked):
 class ReconstructionSettings(Checked):
     """From displacements to wavefronts."""
 
-    method: Annotated[
-        Literal["zonal", "modal"], Doc("Wavefront from the slopes: lenslet by lenslet, or as polynomials")
-    ] = "modal"
+    method: Annotated[Literal["zonal", "modal"], Doc("Wavefront: lenslet by lenslet, or as polynomials")] = "modal"
     basis: Annotated[PupilBasis, Doc("Modes: Legendre for a square pupil, Zernike for a circular one")] = "legendre"
     pupil_modes: (
         Annotated[

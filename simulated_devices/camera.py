@@ -183,12 +183,8 @@ class SimulatedCamera(Camera):
                 return self._frame(index)
             if now_s >= deadline_s:
                 raise DeviceTimeout(NO_FRAME)
-            clock.sleep(
-                max(
-                    1e-5,
-                    min(self._run_of(self._next_index).end_s(self._next_index) - now_s, deadline_s - now_s, _SLICE_S),
-                )
-            )
+            end_s = self._run_of(self._next_index).end_s(self._next_index)
+            clock.sleep(max(1e-5, min(end_s - now_s, deadline_s - now_s, _SLICE_S)))
 
     def _close(self) -> None:
         self._runs = []

@@ -251,9 +251,7 @@ class Detector:
 
     def __init__(self, settings: SimulatedCameraSettings, *, seed: int) -> None:
         if settings.offset_counts >= 2**settings.bits:  # no fault of a bench, whose frames may be files
-            raise BadValue(
-                f"camera.offset_counts = {settings.offset_counts:g} must be below 2^bits = {2**settings.bits}"
-            )
+            raise BadValue(f"camera.offset_counts = {settings.offset_counts:g} must be below {2**settings.bits}")
         self._settings = settings
         self._seed = seed
 

@@ -7,7 +7,6 @@ share only these files.
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 import os
@@ -15,7 +14,7 @@ import shutil
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -57,7 +56,7 @@ class Scene:
 
     def fingerprint(self) -> str:
         """SHA-256 of all parameters, of the files of screen and mask, and of the format."""
-        parameters = {"format": _FORMAT, **dataclasses.asdict(self)}
+        parameters = {"format": _FORMAT, **asdict(self)}
         del parameters["simulation"]["source"]["mask"]  # the initial mask changes no image
         if not self.lines:
             del parameters["lines"]  # images of earlier versions stay good
@@ -89,9 +88,7 @@ class Renderer:
         scene, nominal_m = self.scene, self.scene.sensor.wavelength_m
 
         def line(wavelength_m: float) -> Renderer:
-            alone = dataclasses.replace(
-                scene, lines=(), sensor=dataclasses.replace(scene.sensor, wavelength_m=wavelength_m)
-            )
+            alone = replace(scene, lines=(), sensor=replace(scene.sensor, wavelength_m=wavelength_m))
             return Renderer(alone, phase_scale=nominal_m / wavelength_m, threads=self._threads)
 
         return tuple((share, line(wavelength_m)) for wavelength_m, share in scene.lines) or ((1.0, self),)

@@ -42,13 +42,9 @@ class Screen(Checked):
     distance_m: Annotated[
         float, Ge(-100), Le(100), Doc("Distance before the lenslets (negative: behind), or after the mask")
     ] = 0.195
-    transmission_rms: Annotated[
-        float, Ge(0), Le(10), Doc("RMS of the transmitted intensity, if its mean is 1; log-normal")
-    ] = 0.0
+    transmission_rms: Annotated[float, Ge(0), Le(10), Doc("RMS of the transmission of mean 1; log-normal")] = 0.0
     transmission_correlation_length_m: Annotated[float, Ge(1e-6), Le(10), Doc("Sigma of the smoothing")] = 0.5e-3
-    transmission_file: Annotated[
-        str, Doc("File of transmitted intensity, 0 ... 1, .npy or .tif, sampled like the screen")
-    ] = ""
+    transmission_file: Annotated[str, Doc("File of transmission, 0 ... 1, .npy or .tif, sampled like the screen")] = ""
     drift_x_m_per_s: float = 0.0
     drift_y_m_per_s: float = 0.0
 

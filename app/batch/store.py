@@ -199,27 +199,16 @@ class ResultStore:
 
     def _check_alike(self, piece: xr.Dataset) -> None:
         """Raise `InputError` unless results have the sizes and coordinates of the store."""
-        sizes = {
-            dimension: size
-            for array in self._of_frames.values()
-            for dimension, size in zip(_dimensions(array)[2:], array.shape[2:], strict=True)
-        }
-        found = {dimension: size for dimension, size in piece.sizes.items() if dimension != FRAME}
-        differing = [
-            f"{found.get(name, 'no')} {name} instead of {sizes.get(str(name), 'no')}"
-            for name in sorted({*map(str, found), *sizes})
-            if found.get(name) != sizes.get(name)
-        ]
+        sizes: dict[Any, int] = {FRAME: piece.sizes[FRAME]}
+        for array in self._of_frames.values():
+            sizes |= zip(_dimensions(array)[2:], array.shape[2:], strict=True)
+        differing = {str(name) for name, _ in sizes.items() ^ piece.sizes.items()}
         if not differing:
             along = [name for name in piece.coords if FRAME not in piece[name].dims and piece[name].dtype.kind == "f"]
-            differing = [
-                f"another {name}" for name in along if not np.array_equal(piece[name], self._arrays[str(name)][:])
-            ]
+            differing = {str(name) for name in along if not np.array_equal(piece[name], self._arrays[str(name)][:])}
         if differing:
-            raise InputError(
-                f"its results do not fit the store: {', '.join(differing)}; fix warp and modes by --set, or give"
-                " another --out"
-            )
+            why = f"its results do not fit the store, which has another {' and '.join(sorted(differing))}"
+            raise InputError(f"{why}: fix warp and modes by --set, or give another --out")
 
     def _known(self) -> list[dict[str, Any]]:
         """Provenance of all registered recordings; the last ones may not be registered completely."""

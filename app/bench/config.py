@@ -261,11 +261,9 @@ def changes_in_words(before: Bench, after: Bench) -> str:
         for name, value in dataclasses.asdict(new).items()
         if value != getattr(old, name)
     ]
-    others = {
-        "the new lattice": before.lattice != after.lattice,
-        "the nonlinearity": before.linearity != after.linearity,
-    }
-    return ", ".join(texts) or next((name for name, is_new in others.items() if is_new), "the same settings")
+    if not texts and before.lattice != after.lattice:
+        return "the new lattice"
+    return ", ".join(texts) or ("the same settings" if before.linearity == after.linearity else "the nonlinearity")
 
 
 def check_device(section: str, settings: DeviceSettings) -> None:
@@ -323,11 +321,8 @@ def _arrange(tree: dict[str, Any], name: str) -> None:
 
 def _without_none(tree: dict[str, Any]) -> dict[str, Any]:
     """Omit unset values, because TOML has no null."""
-    return {
-        key: _without_none(value) if isinstance(value, dict) else value
-        for key, value in tree.items()
-        if value is not None
-    }
+    set_ones = {key: value for key, value in tree.items() if value is not None}
+    return {key: _without_none(value) if isinstance(value, dict) else value for key, value in set_ones.items()}
 
 
 def _override(tree: dict[str, Any], override: str) -> None:

@@ -69,9 +69,7 @@ def _by_driver(kinds: Iterable[DeviceKind]) -> Mapping[str, DeviceKind]:
 
 _CAMERAS = (
     DeviceKind(SimulatedCameraSettings),
-    DeviceKind(
-        DcamSettings, "drivers.dcam.camera.DcamCamera", "Hamamatsu (DCAM)", "Hamamatsu cameras, over the DCAM-API"
-    ),
+    DeviceKind(DcamSettings, "drivers.dcam.camera.DcamCamera", "Hamamatsu (DCAM)", "Hamamatsu cameras, over DCAM-API"),
     DeviceKind(
         GenicamSettings,
         "drivers.genicam.camera.GenicamCamera",

@@ -38,12 +38,10 @@ def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
     return lenslet_image(bench, measured_source(reference, bench), reference.width, _pupil_samples(reference))
 
 
-def lenslet_image(bench: Bench, source: SourcePoints, width: int, pupil_samples: int) -> LensletImage:
-    """Model of one lenslet of a bench with a source, on `width` x `width` pixels."""
+def lenslet_image(bench: Bench, source: SourcePoints, width: int, samples: int) -> LensletImage:
+    """Model of one lenslet of a bench with a source and pupil samples, on `width` x `width` pixels."""
     fill = bench.camera_model.pixel_fill_factor
-    return LensletImage(
-        bench.sensor, bench.field, source, width=width, pupil_samples=pupil_samples, pixel_fill_factor=fill
-    )
+    return LensletImage(bench.sensor, bench.field, source, width=width, pupil_samples=samples, pixel_fill_factor=fill)
 
 
 @kept_while_alive(maxsize=4)  # the refinement needs it after the response

@@ -23,10 +23,7 @@ def batch(
     setting: options.Set = None,
     frames: options.Frames = None,
     refine: Annotated[
-        int,
-        typer.Option(
-            min=0, max=options.MOST_ROUNDS, help="Maximum rounds of refinement of each frame, instead of the recorded."
-        ),
+        int, typer.Option(min=0, max=options.MOST_ROUNDS, help="Rounds of refinement of each frame, at most.")
     ] = 0,
     workers: options.Workers = None,
     scheduler: options.Scheduler = None,

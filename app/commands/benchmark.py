@@ -44,9 +44,7 @@ def benchmark(
     ] = None,
     record_in: Annotated[Path | None, options.folder_option("With --live: folder of the temporary recording.")] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Do not record during --live.")] = False,
-    panels: Annotated[
-        bool, typer.Option("--panels", help="Open coefficients, history and histogram, too, in --live.")
-    ] = False,
+    panels: Annotated[bool, typer.Option("--panels", help="Open coefficients, history, histogram in --live.")] = False,
     rendered: Annotated[
         bool,
         typer.Option("--rendered", help="Frames of --live from memory, at the cost of a copy as from a real camera."),
@@ -226,9 +224,7 @@ def print_figures(figures: LiveFigures) -> None:
         f" {1 / camera.exposure_s:.1f} frames/s, {'recorded' if recording else 'not recorded'},"
         f" {span.seconds:.0f} s after a warm-up"
     )
-    terminal.print_sentence(
-        "the window was on a display" if figures.is_seen else "no display: the window was drawn offscreen"
-    )
+    terminal.print_sentence("the window was on a display" if figures.is_seen else "no display: it was drawn offscreen")
     lines = [
         (each.name, each.measured, each.asked, each.key and ("[green]met[/]" if each.is_met else "[red]missed[/]"))
         for each in figures.rows()

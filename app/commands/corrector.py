@@ -31,9 +31,7 @@ def corrector(
     *,
     out: Annotated[Path, typer.Option(help="NetCDF file for residuals and command.")],
     modes: Annotated[Influence, typer.Option(help="Shapes that the corrector can take.")] = DEFAULT.influence,
-    count: Annotated[
-        int, typer.Option(min=2, help="Number of modes with the piston, or of actuators.")
-    ] = DEFAULT.count,
+    count: Annotated[int, typer.Option(min=2, help="Number of modes with piston, or of actuators.")] = DEFAULT.count,
     distance: Annotated[
         float | None, typer.Option(metavar="M", help="Distance of the corrector (m); the best one if omitted.")
     ] = None,

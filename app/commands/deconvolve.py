@@ -40,9 +40,7 @@ def deconvolve(
     imaging: Annotated[
         Path | None, typer.Option(metavar="TOML", help="File with a section [imaging], instead of the bench's.")
     ] = None,
-    method: Annotated[
-        RestorationMethod, typer.Option(help="Method; wiener is faster and allows negative values.")
-    ] = METHOD,
+    method: Annotated[RestorationMethod, typer.Option(help="Method; wiener is faster, with negative values.")] = METHOD,
     iterations: Annotated[
         int, typer.Option(min=1, max=10_000, help="Most iterations; fewer if only noise is left.")
     ] = MOST_ITERATIONS,

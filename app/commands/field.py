@@ -28,9 +28,7 @@ from reconstruction.settings import PupilBasis
 def field(
     source: options.RunOrResult,
     *,
-    out: Annotated[
-        Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table of field positions.")
-    ],
+    out: Annotated[Path, typer.Option(help="NetCDF file for maps and double Zernikes, or .csv for a table.")],
     basis: Annotated[
         PupilBasis, typer.Option(help="Modes of the pupil, see `svwfs docs field`; zernike gives double Zernikes, too.")
     ] = FIELD_BASIS,

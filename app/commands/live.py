@@ -41,9 +41,7 @@ def live(
     *,
     bench: Annotated[str | None, options.bench_option(f"Bench TOML file or preset [default: {DEFAULT}].")] = None,
     setting: options.Set = None,
-    replay: Annotated[
-        Path | None, typer.Option(metavar="RECORDING", help="Play a recording repeatedly at its own rate.")
-    ] = None,
+    replay: Annotated[Path | None, typer.Option(metavar="RECORDING", help="Play a recording at its own rate.")] = None,
     frames: options.Frames = None,
     seconds: Annotated[
         float | None,

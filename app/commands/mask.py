@@ -23,16 +23,11 @@ def mask(
     *,
     size: Annotated[
         str | None,
-        typer.Option(
-            metavar="LENGTH", help="Side of the square around the field, as 1.2mm; the bench's field if omitted."
-        ),
+        typer.Option(metavar="LENGTH", help="Side of the square around the field, as 1.2mm [default: the bench's]."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Drawing to write: SVG, DXF or GDS (GDSII).")] = None,
     accuracy: Annotated[
-        bool,
-        typer.Option(
-            "--accuracy", help="Predict errors and noise with this mask on the bench, compared with the square."
-        ),
+        bool, typer.Option("--accuracy", help="Predict errors and noise of this mask on the bench, next to the square.")
     ] = False,
     bench: options.Bench = PAPER,
     setting: options.Set = None,

@@ -187,9 +187,8 @@ def print_measurement(measured: Measured, out: Path) -> None:
         for row in rows
     )
     terminal.print_by_view(measured.bench.field, f"RMS (rad) of the wavefront{of}", cells)
-    terminal.print_sentence(
-        f"error bar of one frame: {np.nanmean(measured.noise_rad):.3f} rad; assumed: {measured.assumed}"
-    )
+    bar_rad = np.nanmean(measured.noise_rad)
+    terminal.print_sentence(f"error bar of one frame: {bar_rad:.3f} rad; assumed: {measured.assumed}")
     light = "" if measured.light_current_a is None else f", light current {measured.light_current_a:.4g} A"
     simulated = "; camera and light are simulated" if measured.bench.is_simulated else ""
     terminal.print_sentence(f"exposure {measured.exposure_s * 1e3:.4g} ms{light}{simulated}")

@@ -60,9 +60,7 @@ Frames = Annotated[
 RecordingFolder = Annotated[Path, typer.Argument(metavar="recording", help="Folder of a recording.")]
 RunOrResult = Annotated[Path, typer.Argument(metavar="RUN|RESULT", help="Folder of a recording, or a results file.")]
 Plot = Annotated[Path | None, typer.Option(help="Picture of the result: PNG, PDF or SVG.")]
-Remove = Annotated[
-    str | None, typer.Option(metavar="MODES", help="Modes removed from wavefront, RMS and PV, as tilt,defocus.")
-]
+Remove = Annotated[str | None, typer.Option(metavar="MODES", help="Modes removed from wavefronts, as tilt,defocus.")]
 Order = Annotated[
     Literal["noll", "osa", "fringe"],  # `ZernikeOrder` would load NumPy
     typer.Option(help="Order of Zernike modes: Noll, OSA/ANSI (unit RMS), or fringe (unit amplitude)."),
@@ -71,17 +69,13 @@ Seeds = Annotated[int, typer.Option(min=1, max=1000, help="Number of screens, st
 
 MOST_ROUNDS = 100  # of refinement
 
-Workers = Annotated[
-    int | None, typer.Option(min=1, max=1024, help="Number of worker processes on this computer (extra: batch).")
-]
+Workers = Annotated[int | None, typer.Option(min=1, max=1024, help="Number of worker processes here (extra: batch).")]
 Scheduler = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="Use the workers of a running Dask scheduler, as tcp://node1:8786."),
 ]
 
-Trust = Annotated[
-    bool, typer.Option("--trust-library", help="Load the program library that the bench names, now and later.")
-]
+Trust = Annotated[bool, typer.Option("--trust-library", help="Load the library that the bench names, now and later.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files, except inputs.")]
 
 

@@ -134,9 +134,7 @@ def _print_zernikes(zernikes: xr.Dataset, wavefront: Wavefront, without: str, ro
     valid = wavefront.displacement.valid
     place, size = place_of_view(field, *view), circle.in_words
     size = size if sensor.pupil.is_bounded else size.replace("pupil", "circle inscribed in the lattice:")
-    turned = f"; axes of the lattice, turned by {rotation_rad:+.3f} rad from the camera's" * (
-        abs(rotation_rad) > _TURNED
-    )
+    turned = f"; lattice axes, turned by {rotation_rad:+.3f} rad from the camera's" * (abs(rotation_rad) > _TURNED)
     terminal.print_sentence(f"Zernike coefficients at {place}: {zernikes.attrs['order']}{turned}")
     terminal.print_table(
         None,
@@ -210,9 +208,7 @@ def print_views(wavefront: Wavefront) -> None:
 
     noise_rad = rms_over_lenslets(wavefront.sigma())
     cells = ((cell(*each) for each in zip(*row, strict=True)) for row in zip(wavefront.views, noise_rad, strict=True))
-    terminal.print_by_view(
-        wavefront.field, "RMS +- error bar and PV (rad) of the wavefront at each field position", cells
-    )
+    terminal.print_by_view(wavefront.field, "RMS +- error bar and PV (rad) at each field position", cells)
     displacement = wavefront.displacement
     terminal.print_sentence("; ".join(displacement.summary))
     terminal.print_sentence(f"assumed: {sample_sentence(wavefront.sample, wavefront.field)}")

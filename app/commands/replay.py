@@ -61,10 +61,7 @@ def print_replay(made: Replay) -> None:
     compared = made.comparison
     if compared is not None and compared.field is not None:
         rows = zip(*compared.means_rad, strict=True)
-        cells = (
-            (f"{then:.3f} > {now:.3f}\n{apart:.3f} apart" for then, now, apart in zip(*row, strict=True))
-            for row in rows
-        )
+        cells = (("{:.3f} > {:.3f}\n{:.3f} apart".format(*each) for each in zip(*row, strict=True)) for row in rows)
         title = f"RMS (rad) as recorded > with this bench, mean of {counted(compared.frames)}"
         terminal.print_by_view(compared.field, title, cells)
     elif compared is not None and made.reconstructed:

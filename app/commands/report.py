@@ -15,9 +15,7 @@ from app.files import require_suffix
 def report(
     source: options.RunOrResult,
     *,
-    out: Annotated[
-        Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one picture.")
-    ],
+    out: Annotated[Path, typer.Option(help="File to write: .pdf with A4 pages, or .png with all pages in one.")],
     setting: options.Set = None,
     frames: options.Frames = None,
     overwrite: options.Overwrite = False,

@@ -25,11 +25,8 @@ def editor_schema() -> dict[str, Any]:
     made = {"$schema": draft, "title": "svwfs bench", **copy.deepcopy(bench_schema())}
     sections = made["properties"]
     for section, key in CHOSEN_IF_OMITTED:
-        settings = sections[section]["properties"]
-        settings[key] = {
-            "description": settings[key].pop("description"),
-            "anyOf": [settings[key], {"const": AUTOMATIC}],
-        }
+        of = sections[section]["properties"]
+        of[key] = {"description": of[key].pop("description"), "anyOf": [of[key], {"const": AUTOMATIC}]}
     lattice = sections["lattice"]
     place = {"required": lattice.pop("required")}
     lattice["anyOf"] = [place, {"required": ["arrangement"], "maxProperties": 1}]

@@ -18,9 +18,7 @@ def simulate(
     bench: options.Bench,
     out: Annotated[Path, options.folder_option("Folder for dark.tif, reference.tif, frame.tif and truth.nc.")],
     setting: options.Set = None,
-    noise_free: Annotated[
-        bool, typer.Option("--noise-free", help="Write mean photons instead of the camera's counts.")
-    ] = False,
+    noise_free: Annotated[bool, typer.Option("--noise-free", help="Write mean photons instead of counts.")] = False,
     overwrite: options.Overwrite = False,
 ) -> None:
     """Simulate dark, reference and frame, with the true wavefronts.

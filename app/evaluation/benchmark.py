@@ -108,9 +108,8 @@ class TimedFrames:
         self, registration: RegistrationSettings, reconstruction: ReconstructionSettings | None = None
     ) -> Reconstructor:
         """Prepare for the reference; `reconstruction` has its defaults if omitted."""
-        bench = replace(
-            self.bench, registration=registration, reconstruction=reconstruction or ReconstructionSettings()
-        )
+        settings = reconstruction or ReconstructionSettings()
+        bench = replace(self.bench, registration=registration, reconstruction=settings)
         known = KnownNoise(self.noise, FRAMES if self.noise is not None else np.inf)
         given = Calibration.of_images(bench, self.reference, dark=self.dark, lattice=self.lattice)
         return replace(given, known=known).reconstructor()

@@ -28,6 +28,7 @@ from reconstruction.errors import ReconstructionError
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.layers.layered_wavefront import FREE
 from reconstruction.modes.field_modes import LegendreModes
+from reconstruction.modes.polynomials import legendre_projection
 from reconstruction.modes.pupil_modes import pupil_modes
 from reconstruction.quality.information import layered_information, wavefront_bound
 from reconstruction.reconstructor import NOISE_MODES, Reconstructor
@@ -42,7 +43,7 @@ from simulated_devices.settings import MASKS
 PEAKS_E = (300.0, 1e3, 1e4)  # electrons in the brightest pixel of the reference
 WARP: Warp = "cubic"  # of the noise
 _DEGREE = 5  # of the wavefronts over a lenslet, and over the field
-_NODES = 8  # of Gauss-Legendre quadrature
+_EXACT = 9  # degree of screens that are projected exactly
 _BRIGHT = 0.1  # of the highest brightness; darker points are outside the source
 _ROUNDING = 1e-9  # half widths of the field
 
@@ -220,8 +221,7 @@ def local_screen(sample: Sample, bench: Bench, modes: LegendreModes) -> Floats:
     It is that of wavefronts P_m(xi) P_n(eta) T_q, and 0 beyond degree 5. The projection is exact up to rounding for
     screens that are polynomials of that degree.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    project = np.polynomial.legendre.legvander(nodes, _DEGREE) * weights[:, None] * (np.arange(_DEGREE + 1) + 0.5)
+    nodes, project = legendre_projection(_DEGREE, _EXACT)
     light, rays, sensor, half_m = sample.light, sample.light.ray_map, bench.sensor, bench.sensor.lenslet_pitch_m / 2
 
     def along(center_m: Floats) -> Floats:

@@ -74,9 +74,7 @@ class MaskScale:
                 " wavefront: check the focus, lenslet_focal_length_m, collimator_focal_length_m, and half_width_m"
             )
         if self.orientation:
-            sentences.append(
-                f"the mask {self.mask} is {self.orientation}: mount it, or the camera, as the bench has it"
-            )
+            sentences.append(f"the mask {self.mask} is {self.orientation}: mount it or the camera as the bench has it")
         return sentences
 
 

@@ -265,9 +265,7 @@ def selected(text: str | None, count: int, source: Path) -> range:
         raise InputError(f"{source}: holds no frame")
     parts = re.fullmatch(r"(-?\d+)?:(-?\d+)?", (":" if text is None else text).replace(" ", ""), re.ASCII)
     if parts is None:
-        raise InputError(
-            f"--frames {text}: write FIRST:END, counted from 0, for example 0:100, or -10: for the last 10"
-        )
+        raise InputError(f"--frames {text}: write FIRST:END, counted from 0, as 0:100, or -10: for the last 10")
     frames = range(count)[int(parts[1] or 0) : int(parts[2] or count)]
     if not frames:
         raise InputError(f'--frames "{text}" selects no frame; {source} has {count}')

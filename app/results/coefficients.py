@@ -221,14 +221,12 @@ def table_of(maps: xr.Dataset) -> tuple[list[str], list[list[float]]]:
     return names, np.concatenate([each[:, inside] for each in (place_m, values, sigma)]).T.tolist()
 
 
-def _double_zernikes(
-    found: FieldCoefficients, sensor: Sensor, field: Field, field_order: int | None = None
-) -> xr.Dataset:
+def _double_zernikes(found: FieldCoefficients, sensor: Sensor, field: Field, order: int | None = None) -> xr.Dataset:
     """Double Zernikes with standard deviations, and radii of their circles under GalSim's names."""
     import xarray as xr
 
     dimensions, radius_m = ("k", "j"), sensor.circle.radius_m or 0.0
-    rad, sigma = found.double_zernikes(field_order)
+    rad, sigma = found.double_zernikes(order)
     long_name = "d[k, j] Z_k(field) Z_j(pupil), Noll's counts from 1; the first row and column are unused"
     variables = {
         "double_zernike": (dimensions, rad, about("rad", long_name)),

@@ -177,9 +177,8 @@ def draw_corrector(found: xr.Dataset) -> Figure:
     left.set(ylabel="residual over the field (rad RMS)", title=title)
     layers.set_distance_axes(left, found, found["corrector_distance_m"].values)
     left.legend()
-    shown = right.scatter(
-        found["field_x"] * 1e3, found["field_y"] * 1e3, c=found["field_residual"], s=160, marker="s", vmin=0
-    )
+    x_mm, y_mm = (found[name] * 1e3 for name in ("field_x", "field_y"))
+    shown = right.scatter(x_mm, y_mm, c=found["field_residual"], s=160, marker="s", vmin=0)
     right.set(xlabel="field x (mm)", ylabel="field y (mm)", aspect="equal", title="Residual (rad RMS)")
     right.invert_yaxis()  # +y down, as on the camera
     figure.colorbar(shown, ax=right)

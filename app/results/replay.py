@@ -72,9 +72,7 @@ class Verification:
         if not self.frames:
             return "none of these frames was reconstructed when it was recorded: there is nothing to compare"
         (apart_sigma, index), (first_sigma, first) = self.largest[True], self.largest[False]
-        largest = (
-            f"the largest difference is {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
-        )
+        largest = f"largest difference {apart_sigma:.2g} sigma, in frame {index}" if apart_sigma else "no difference"
         if first_sigma:
             largest += f", and {first_sigma:.2g} sigma in frame {first}, whose start was not recorded"
         if not self.different:

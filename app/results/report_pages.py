@@ -187,12 +187,7 @@ def _draw_lost(axis: Axes, stats: Statistics) -> None:
     axis.grid(which="minor", color="white", linewidth=0.6)
     axis.tick_params(which="both", length=0, labelbottom=False, labelleft=False)
     ever, always = int((stats.lost > 0).sum()), int((stats.lost == 1).sum())
-    text = (
-        f"{ever} of {np.isfinite(stats.lost).sum()} lenslets lost, {always} of them always"
-        if ever
-        else "no lenslet was lost"
-    )
-    axis.set_title(text)
+    axis.set_title(f"{ever} of {np.isfinite(stats.lost).sum()} lenslets lost, {always} of them always")
     if handles:
         below = (0.5, -0.02)
         axis.legend(handles=handles, fontsize=8, ncols=3, loc="upper center", bbox_to_anchor=below, frameon=False)

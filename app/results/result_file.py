@@ -123,13 +123,11 @@ def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows
     # names of files need not be text
     origin = {name: text.encode(errors="replace").decode() for name, text in origin.items()}
     attributes = {"title": "Space-variant wavefront", **_geometry(bench)} | piece.attrs | origin
-    of_frames = {
-        name: piece.variables[name] for name in piece.variables if grows and FRAME in piece.variables[name].dims
-    }
+    of_frames = {name: each for name, each in piece.variables.items() if grows and FRAME in each.dims}
     return piece.assign_attrs(attributes).to_netcdf(
         engine="h5netcdf",
         unlimited_dims=[FRAME] if grows else [],
-        encoding={name: {"chunksizes": (PIECE, *variable.shape[1:])} for name, variable in of_frames.items() if grows},
+        encoding={name: {"chunksizes": (PIECE, *variable.shape[1:])} for name, variable in of_frames.items()},
     )
 
 

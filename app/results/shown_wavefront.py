@@ -65,14 +65,8 @@ class StoredWavefront:
         coefficients, views = mean_of_frames(path)
         if not coefficients.size:
             raise InputError(f"{path}: holds no coefficients: reconstruct with reconstruction.method = 'modal'")
-        if sensor is not None and sensor.lenslets != views.shape[2:]:
-            raise InputError(
-                "{}: has {} x {} lenslets, the bench {} x {}".format(path, *views.shape[2:], *sensor.lenslets)
-            )
-        if sensor is not None and sensor.wavelength_m != bench.sensor.wavelength_m:
-            raise InputError(
-                f"{path}: is at {1e9 * bench.sensor.wavelength_m:g} nm: reconstruct both at one wavelength"
-            )
+        if sensor and (views.shape[2:], bench.sensor.wavelength_m) != (sensor.lenslets, sensor.wavelength_m):
+            raise InputError(f"{path}: is of other lenslets, or of another wavelength, than the bench's")
         if (found := modes_at_views(bench, coefficients, views)) is None:  # displacements at stars, say
             raise InputError(f"{path}: its wavefront cannot be evaluated between its views")
         unknown, (pupil, modes) = np.isnan(views).all(axis=(0, 1)), found

@@ -186,9 +186,7 @@ def mean_of_frames(
     A recording may be reconstructed with a changed calibration.
     """
     if change is not None and not source.is_dir():
-        raise InputError(
-            f"{source}: settings can be changed for recordings alone, whose frames are reconstructed again"
-        )
+        raise InputError(f"{source}: settings can be changed for recordings alone, which are reconstructed again")
     read = partial(_recorded_frames, change=change) if source.is_dir() else _stored_frames
     coefficients, views, count = np.zeros(()), np.zeros(()), 0
     for of_frame, views_of_frame in read(source, frames, progress):
@@ -216,9 +214,7 @@ def _stored_frames(source: Path, frames: str | None, progress: Progress) -> Iter
             progress("reading wavefronts", done / len(chosen))
 
 
-def _recorded_frames(
-    source: Path, frames: str | None, progress: Progress, *, change: Change | None
-) -> Iterator[_Frame]:
+def _recorded_frames(source: Path, frames: str | None, progress: Progress, change: Change | None) -> Iterator[_Frame]:
     from app.recording.reader import Recording
     from app.recording.reprocess import reprocess
 
@@ -274,9 +270,7 @@ def phase_of(source: Wavefront | str | Path, bench: Bench) -> PhaseAt:
 def measured(wavefront: object) -> Wavefront:
     """Refuse anything but a wavefront."""
     if not isinstance(wavefront, Wavefront):
-        raise InputError(
-            f"a wavefront is needed, not {type(wavefront).__name__}; Measurement.problem says why it is None"
-        )
+        raise InputError(f"a wavefront is needed, not {type(wavefront).__name__}; Measurement.problem says why")
     return wavefront
 
 
@@ -310,14 +304,12 @@ def _equations(results: xr.Dataset, bench: Bench) -> FrameEquations:
     of_lenslets = np.einsum("lkpq,pq->lk", sensitivity(basis, slice(None)), coefficients[1:]) @ parameters
     shape = sensor.lenslets
     variance = diagonal_covariance(results["displacement_sigma"].values ** 2)
-    unknown = np.full(shape, np.nan)
+    unknown, valid = np.full(shape, np.nan), results["valid"].values.astype(bool)
     displacement = Displacement(
         modes=modes,
         coefficients=np.swapaxes(of_lenslets.reshape(*shape, 2, -1), 2, 3),
         covariance_source=variance,
-        outcome=np.where(
-            results["valid"].values.astype(bool) & basis.inside, LensletStatus.CONVERGED, LensletStatus.DARK
-        ),
+        outcome=np.where(valid & basis.inside, LensletStatus.CONVERGED, LensletStatus.DARK),
         residual_rms=unknown,
         chi_square=unknown,
         range_used=unknown,

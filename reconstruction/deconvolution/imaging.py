@@ -23,16 +23,12 @@ class Imaging(Checked):
     """
 
     pixel_m: Annotated[float, Ge(1e-10), Le(1e-2), Doc("Size of a pixel in the field")]
-    center_x_px: Annotated[float, Doc("Middle of the field in the image; omitted: the middle of the image")] | None = (
-        None
-    )
+    center_x_px: Annotated[float, Doc("Middle of the field in the image; omitted: its middle")] | None = None
     center_y_px: float | None = None
     rotation_rad: Annotated[float, Ge(-4), Le(4)] = 0.0
     is_mirrored: bool = False
     pupil_diameter_m: Annotated[float, Ge(1e-6), Le(100), Doc("Round pupil; omitted: the lattice")] | None = None
-    numerical_aperture: (
-        Annotated[float, Ge(1e-6), Le(2), Doc("Numerical aperture, in place of the diameter")] | None
-    ) = None
+    numerical_aperture: Annotated[float, Ge(1e-6), Le(2), Doc("Numerical aperture, not the diameter")] | None = None
     wavelength_m: Annotated[float, Ge(1e-8), Le(1e-3), Doc("Wavelength; omitted: the sensor's")] | None = None
     dark_counts: Annotated[float, Doc("Counts of a pixel without light")] = 0.0
     counts_per_electron: Annotated[float, Ge(1e-6), Le(1e6), Doc("Conversion gain; omitted: estimated")] | None = None

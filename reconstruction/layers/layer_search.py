@@ -145,10 +145,8 @@ def search_layers(
         return equations.quality(*map(_ratio, t), degree=SKETCH_DEGREE)
 
     def best_of(sketches: dict[tuple[float, ...], FitQuality]) -> LayerFit:
-        starts = {
-            max(some, key=lambda t: sketches[t].log_evidence)
-            for some in ([t for t in sketches if max(t) <= 0], sketches)
-        }
+        before = [ratios for ratios in sketches if max(ratios) <= 0]
+        starts = {max(some, key=lambda t: sketches[t].log_evidence) for some in (before, sketches)}
         fits = []
         for start in sorted(starts, key=max):  # those before the lenslets first
             is_sketched = len(start) == 2 and count is None  # else it would take several times as long

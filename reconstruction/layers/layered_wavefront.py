@@ -257,11 +257,8 @@ class LayeredWavefronts:
 
     def _per_ratio(self, ratios: tuple[float, ...], share_bytes: bytes) -> _Slopes:
         """Slopes for lenslets with some shares (L,) of their certainty."""
-        rows, vectors, share = (
-            self._rows(ratios),
-            self._design(self._prepared, ratios).vectors,
-            np.frombuffer(share_bytes),
-        )
+        rows, share = self._rows(ratios), np.frombuffer(share_bytes)
+        vectors = self._design(self._prepared, ratios).vectors
         degree, change = min(SKETCH_DEGREE, self.solver.degree), []
         for ratio in ratios:
             step = _STEP * (1 + abs(ratio))

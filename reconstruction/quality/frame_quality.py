@@ -200,9 +200,8 @@ class QualityChecker:
             change = f"by {100 * rise:.1f} % of the brightest pixels from lenslet to lenslet"
             yield Fault.ILLUMINATION, f"stray light rises across the frame, {change}: cover the setup"
         else:
-            yield from propagation_faults(
-                displacement, self._lit, ratio, self._half_width_px, neglect_propagation=self._neglects
-            )
+            at = displacement, self._lit, ratio, self._half_width_px
+            yield from propagation_faults(*at, neglect_propagation=self._neglects)
         scatter = read_noise = 0.0
         if self._noise is not None:
             scatter = math.sqrt(self._noise.variance(np.array(brightest)).item())

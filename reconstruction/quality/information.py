@@ -51,12 +51,11 @@ def layered_information(
         Coefficients e_pq, rad, of each layered wavefront.
     """
     products = modes.products[1:]
-    derivatives = model.derivatives(
-        _DEGREE, field_modes.values(*model.position.T), field_modes.gradients(*model.position.T)
-    )
+    x, y = model.position.T
+    derivatives = model.derivatives(_DEGREE, field_modes.values(x, y), field_modes.gradients(x, y))
     n, m = np.nonzero(np.any(derivatives, axis=(2, 3, 4)))
     derivatives, image = derivatives[n, m], model.image()
-    varied = np.stack([model.image(values) for values in brightness.values(*model.position.T)])
+    varied = np.stack([model.image(values) for values in brightness.values(x, y)])
     local = local_wavefronts(products, sensor, _DEGREE)[:, :, n, m]
     local, of_lenslet = local.reshape(light.size, -1), light.ravel()  # (lenslet, local * pupil_mode), (lenslet,)
     step = np.rint(np.log(np.maximum(of_lenslet, np.finfo(np.float64).tiny)) / _LIGHT_STEP)

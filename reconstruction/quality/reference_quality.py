@@ -165,9 +165,7 @@ _PASSES = 2  # that measure shifts and take them away
 def sample_quality(reference: ReferenceSubimages) -> Quality:
     """Judge whether a reference contains a sample; a point source cannot be stretched."""
     shared_px = shared_deformation_px(reference) if reference.half_width_px > reference.blur_px else 0.0
-    reason = (
-        f"the reference's subimages are deformed by {shared_px:.2f} px: was the sample in the beam, or is it the frame?"
-    )
+    reason = f"the reference's subimages are deformed by {shared_px:.2f} px: was the sample in, or is it the frame?"
     return Quality.of(Fault.SAMPLE, "" if shared_px <= _DEFORMED_PX else reason)
 
 

@@ -173,9 +173,8 @@ def point_brightness(point_images: Image, subimage: Floats) -> Floats:
     augmented = np.column_stack([matrix / scale, subimage.ravel()])
     equations = np.asarray(np.linalg.qr(augmented, mode="r"))[: len(point_images)]
     try:
-        found, _ = scipy.optimize.nnls(
-            equations[:, :-1], equations[:, -1], maxiter=_ITERATIONS_PER_POINT * len(point_images)
-        )
+        most = _ITERATIONS_PER_POINT * len(point_images)
+        found, _ = scipy.optimize.nnls(equations[:, :-1], equations[:, -1], maxiter=most)
     except RuntimeError as error:  # SciPy did not converge
         raise ReconstructionError("the source's shape cannot be found in the reference: is it in focus?") from error
     return np.asarray(found / scale)

@@ -47,9 +47,8 @@ class PixelGrid:
         self._angle = (local_px.reshape(-1, 2)[self._pixel] * angle_per_px).astype(np.float32)  # (pixel, xy)
         # Light of one lenslet, integrated over a period, is 1 per unit of object weight; a pixel has this share of it.
         self._scale = (sensor.pixel_pitch_m / period_m) ** 2 / np.sum(aperture)
-        self._transfer = _pixel_transfer(
-            pupil_samples, pixel_fill_factor * angle_per_px / (2 * math.pi), lattice.rotation_rad
-        )
+        side = pixel_fill_factor * angle_per_px / (2 * math.pi)
+        self._transfer = _pixel_transfer(pupil_samples, side, lattice.rotation_rad)
 
     def waves(self, images: Image) -> Image:
         """Amplitudes of the waves of images on the 2n x 2n grid, averaged over a pixel.

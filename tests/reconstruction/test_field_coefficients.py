@@ -196,7 +196,7 @@ def test_orders_that_the_data_do_not_hold_are_refused() -> None:
     unknown = refused(lambda: fit_coefficients(fit, "foo"))  # type: ignore[arg-type] # refused
     assert f"no basis foo: it must be {' or '.join(BASES)}" in unknown
     assert "field order 2 exceeds that of the 3 field modes, 1" in refused(lambda: coefficients(3).double_zernikes(2))
-    assert "measured at a single field position" in refused(lambda: coefficients(1).double_zernikes(1))
+    assert "field order 1 exceeds that of the 1 field modes, 0" in refused(lambda: coefficients(1).double_zernikes(1))
     assert coefficients(1).double_zernikes(0)[0].shape == (2, MODES + 1)
     legendre = fit_coefficients(fit, "legendre")
     assert "made of Zernike modes" in refused(legendre.double_zernikes)

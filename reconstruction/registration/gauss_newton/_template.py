@@ -114,11 +114,9 @@ class SteepestDescent:
 
     def __call__(self, light: Floats, gradient: Floats) -> Floats:
         """Images (L, P, N) of subimages with that light (L, N), and its gradient (L, N, xy)."""
-        along = [
-            gradient[:, None, :, axis] * self._values + light[:, None] * self._slopes[..., axis] for axis in (0, 1)
-        ]
-        ones = np.ones((len(light), 1, light.shape[1]))
-        return np.concatenate([self.basis @ np.concatenate(along, axis=1), light[:, None], ones], axis=1)
+        light = light[:, None]
+        along = [gradient[:, None, :, axis] * self._values + light * self._slopes[..., axis] for axis in (0, 1)]
+        return np.concatenate([self.basis @ np.concatenate(along, axis=1), light, np.ones_like(light)], axis=1)
 
     def without_brightness(self, descent: Floats, weight: Floats) -> Floats:
         """Part of images (L, P, N) that no brightness of the source, a polynomial of u and v, explains.
@@ -277,9 +275,8 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
         return of_pixels, _propagated(np.maximum(light, 0), inverse, weight, descent)
 
     prepared = in_threads(prepare, range(0, lenslets, _AT_ONCE))
-    of_pixels, of_light = (
-        Propagated(*map(np.concatenate, zip(*parts, strict=True))) for parts in zip(*prepared, strict=True)
-    )
+    parts = zip(*prepared, strict=True)
+    of_pixels, of_light = (Propagated(*map(np.concatenate, zip(*each, strict=True))) for each in parts)
     contrast = reference.light[:, of_window].std(axis=1)
     return Template(grid, images, contrast, of_pixels, of_light, to_brightness, covariance)
 

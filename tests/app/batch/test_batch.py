@@ -312,8 +312,8 @@ def test_other_sizes_do_not_fit(recordings: list[Recording], small_toml: Path, t
     fewer = record(small_toml, tmp_path / "fewer", *QUICK, "field.view_rows=2", frames=2)
     wider = record(small_toml, tmp_path / "wider", *QUICK, "field.view_spacing_m=0.3e-3", frames=2)
     made = batch(tmp_path / "r.zarr", recordings[1], fewer, wider)
-    assert "2 view_row instead of 3" in made.failed[fewer.folder]
-    assert "another view_x, another view_y" in made.failed[wider.folder]
+    assert "another view_row" in made.failed[fewer.folder]
+    assert "another view_x and view_y" in made.failed[wider.folder]
     assert made.wavefronts == 3
 
 

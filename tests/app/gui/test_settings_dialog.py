@@ -159,7 +159,7 @@ def test_reason_of_a_failed_search_is_shown(benches: Benches, qtbot: QtBot, monk
     qtbot.waitUntil(lambda: dialog.camera.count() == 2)
     lines = dialog.failed.text().splitlines()
     assert len(lines) == 3
-    assert lines[0].endswith("over the DCAM-API, not searched: the DCAM-API is missing")
+    assert lines[0].endswith("over DCAM-API, not searched: the DCAM-API is missing")
     assert lines[1] == f"{CAMERA.name} cannot be used yet: install Aravis"
     assert lines[2].endswith("on serial ports, not searched: OSError: no such bus")
 

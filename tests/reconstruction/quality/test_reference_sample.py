@@ -126,4 +126,4 @@ def test_reference_with_a_sample_is_found(
         reconstructor, Bench(sensor=bench.sensor, field=bench.field), frame
     ).quality_checker
     assert Fault.SAMPLE in quality_checker.of_reference.faults
-    assert "was the sample in the beam" in quality_checker.of_reference.sentence
+    assert "was the sample in" in quality_checker.of_reference.sentence
