@@ -121,26 +121,23 @@ class Renderer:
 
     def reference(self, mask: str, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, without the sample."""
-        return self._sum(lambda line, part: line.model.irradiance(line.points(mask), progress=part), progress)
+        return self._sum(mask, None, progress)
 
     def state(self, mask: str, state: int, progress: OnFraction | None = None) -> NDArray[np.float32]:
         """Irradiance (row, column), m^2, with the sample in state number `state`."""
+        return self._sum(mask, state, progress)
 
-        def of_line(line: Renderer, part: OnFraction | None) -> NDArray[np.float32]:
-            return line.model.irradiance(line.points(mask), line.light(state), progress=part)
-
-        return self._sum(of_line, progress)
-
-    def _sum(
-        self, render: Callable[[Renderer, OnFraction | None], NDArray[np.float32]], progress: OnFraction | None
-    ) -> NDArray[np.float32]:
-        """Add up the images of all lines."""
+    def _sum(self, mask: str, state: int | None, progress: OnFraction | None) -> NDArray[np.float32]:
+        """Add up the images of all lines; without the sample if `state` is None."""
 
         def part(first: int) -> OnFraction | None:
             return progress and (lambda done: progress((first + done) / len(self.lines)))
 
-        images = (share * render(line, part(first)) for first, (share, line) in enumerate(self.lines))
-        return np.asarray(sum(images), np.float32)
+        image = np.zeros((), np.float32)
+        for first, (share, line) in enumerate(self.lines):
+            field = None if state is None else line.light(state)
+            image = image + share * line.model.irradiance(line.points(mask), field, progress=part(first))
+        return np.asarray(image, np.float32)
 
     def check_rays(self) -> None:
         """Raise `ValueError` if a ray of any state would leave the screen."""

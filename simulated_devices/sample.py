@@ -58,25 +58,14 @@ def screen_size(simulation: Simulation, sensor: Sensor, field: Field, rays: RayM
     guard_m = 0.0 if field.neglect_propagation else _guard_m(simulation, sensor, field, rays, float(max(footprint_m)))
     drift_m = np.abs(shift_m(simulation, simulation.drifting_states))
     screen = simulation.screen
-    margin = 4 * screen.correlation_length_m / screen.sample_spacing_m
-
-    def side(half_width_m: float) -> float:
-        return max(screen.samples, 2 * (half_width_m + guard_m) / screen.sample_spacing_m + 1) + 2 * margin
-
-    half_width_m = float((footprint_m + drift_m).max())
-    if not side(float(max(footprint_m))) <= _LARGEST_SIDE:
+    half_width_m, margin_m = float((footprint_m + drift_m).max()), 4 * screen.correlation_length_m
+    needed = (2 * (half_width_m + guard_m + margin_m) / screen.sample_spacing_m) + 1
+    side = max(screen.samples + 2 * margin_m / screen.sample_spacing_m, needed)
+    if not side <= _LARGEST_SIDE:
         raise ValueError(
-            f"sample_spacing_m must be larger than {screen.sample_spacing_m:g}, or correlation_length_m smaller: the "
-            f"screen would have {side(half_width_m):,.0f} samples a side, and the most is {_LARGEST_SIDE:,}"
-        )
-    if not side(half_width_m) <= _LARGEST_SIDE:
-        room_m = (_LARGEST_SIDE - 1 - 2 * margin) / 2 * screen.sample_spacing_m - np.array(footprint_m) - guard_m
-        # The least space serves both axes; 0.5 % less allows for rounding.
-        allowed = 0.995 * float(room_m.min()) / (simulation.drifting_states * simulation.state_duration_s)
-        raise ValueError(
-            f"drift_x_m_per_s and drift_y_m_per_s must be at most {allowed:.3g} either way with drifting_states = "
-            f"{simulation.drifting_states} and sample_spacing_m = {screen.sample_spacing_m:g}: the screen would have "
-            f"{side(half_width_m):,.0f} samples a side, and the most is {_LARGEST_SIDE:,}"
+            f"sample_spacing_m must be larger than {screen.sample_spacing_m:g}, or correlation_length_m, drift or"
+            f" drifting_states smaller: the screen would have {side:,.0f} samples a side, and the most is"
+            f" {_LARGEST_SIDE:,}"
         )
     enlarged_by, with_guard = (
         max(0, math.ceil(reach_m / screen.sample_spacing_m - (screen.samples - 1) / 2))

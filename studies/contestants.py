@@ -42,7 +42,7 @@ from reconstruction.runtime.threads import one_blas_thread
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, Warp
 from reconstruction.solve.zonal import zonal_wavefront
 from reconstruction.wavefront import Wavefront, rms
-from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.source import SourcePoints
 from studies.tables import Asked, Made, Row
 
@@ -259,11 +259,11 @@ def _square_of_points(frames: TimedFrames) -> Callable[[], NDArray[Any]]:
         border_lenslets=0,
     )
     x_m, y_m = model.sample_x_m[None, :], model.sample_y_m[:, None]
-    bend = (_BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.float32)
+    light = np.exp(1j * _BEND_RAD_PER_M2 * (x_m**2 + y_m**2)).astype(np.complex64)
     along_m = centered_steps(_POINTS) / _POINTS * 2 * bench.field.half_width_m
     position_m = np.stack(np.meshgrid(along_m, along_m), axis=-1).reshape(-1, 2)
     source = SourcePoints(position_m=position_m, area_m2=np.ones(len(position_m)))
-    return lambda: model.irradiance(source, phase_only(lambda _x, _y: bend))
+    return lambda: model.irradiance(source, lambda _x, _y: light)
 
 
 def _hcipy_image(frames: TimedFrames) -> Callable[[], NDArray[Any]]:

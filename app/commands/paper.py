@@ -23,7 +23,7 @@ def paper(
         ),
     ],
     *,
-    out: Annotated[Path, options.folder_option("Folder for the table (JSON, CSV) and its figure.")],
+    out: Annotated[Path, options.folder_option("Folder for the table (JSON) and its figure.")],
     seeds: options.Seeds = 1,
     peers: Annotated[bool, typer.Option(help="Include the slow methods of SimpleITK (extra: peers).")] = False,
     overwrite: options.Overwrite = False,
@@ -44,7 +44,7 @@ def paper(
         raise InputError("--peers: the study of source shapes has no methods of SimpleITK")
     bench = bench or (_EXPERIMENT if table == "table2" else PAPER)
     loaded = options.load(bench, setting)
-    outputs = [out / f"{table}.{suffix}" for suffix in ("json", "csv", "png")]
+    outputs = [out / f"{table}.{suffix}" for suffix in ("json", "png")]
     options.check_files(*outputs, reads=options.files_of_bench(bench, loaded), overwrite=overwrite)
     with terminal.progress_bar() as progress:
         data = compare(table, loaded, seeds=seeds, with_peers=peers, progress=progress)

@@ -90,7 +90,8 @@ def _draw_views(
 
     `views` are in rad, (view_row, view_column, lenslet_row, lenslet_column).
     """
-    rows, columns = (_some(count) for count in views.shape[:2])
+    # at most five evenly spaced views along an axis, from edge to edge
+    rows, columns = (sorted({round(at) for at in np.linspace(0, n - 1, min(n, _MOST_VIEWS))}) for n in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
 
     def caption(row: int, column: int) -> str:
@@ -115,11 +116,6 @@ def _headline(summary: Summary) -> str:
         f"RMS {np.nanmin(of_views):.3f} ... {np.nanmax(of_views):.3f} rad over the views;"
         f" a single correction for the whole field would leave {off_rad:.2f} rad RMS, with its tilt"
     )
-
-
-def _some(count: int) -> list[int]:
-    """Indices of at most five evenly spaced views along an axis, from edge to edge."""
-    return sorted({round(index) for index in np.linspace(0, count - 1, min(count, _MOST_VIEWS))})
 
 
 _COLOURS = {

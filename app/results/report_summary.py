@@ -181,7 +181,6 @@ def facts(summary: Summary) -> list[Fact]:
         ("mask", str(stage.get("mask", bench.simulation.source.mask))),
         *_of_calibration(summary),
         ("method", _method(bench, summary)),
-        ("speed", _speed(_section(run, "timings"))),
         ("software", _software(run)),
     ]
     return [(name, text) for name, text in said if text]
@@ -270,16 +269,6 @@ def _method(bench: Bench, summary: Summary) -> str:
     if summary.statistics is not None and summary.statistics.refined:
         parts.append(f"refined {summary.statistics.refined} of {len(summary.statistics.frames)}")
     return ", ".join(parts)
-
-
-def _speed(timings: dict[str, Any]) -> str:
-    wanted = {"register": "registration", "reconstruct": "reconstruction", "to_result": "exposure to result"}
-    said = []
-    for stage, name in wanted.items():
-        p50_s, p99_s = (_section(timings, stage).get(which) for which in ("p50_s", "p99_s"))
-        if isinstance(p50_s, float) and isinstance(p99_s, float):
-            said.append(f"{name} {p50_s * 1e3:.1f} ({p99_s * 1e3:.1f}) ms")
-    return ", ".join(said) + ": median (99 %)" * bool(said)
 
 
 def _software(run: dict[str, Any]) -> str:

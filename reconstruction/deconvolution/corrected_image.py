@@ -281,9 +281,8 @@ def corrected_image(
     found = restored(cut, blur, method, noise=noise, counted=counted, iterations=iterations, progress=iterating)
     fine = found.image
     if bins > 1:
-        fine = ndimage.zoom(fine, bins, order=1, mode="nearest", grid_mode=True)[
-            : light[part].shape[0], : light[part].shape[1]
-        ]
+        rows, columns = light[part].shape
+        fine = ndimage.zoom(fine, bins, order=1, mode="nearest", grid_mode=True)[:rows, :columns]
     light[part] = fine
     result = np.where(inside, light + np.float32(imaging.dark_counts), image.astype(np.float32))
     return CorrectedImage(result, inside, found.iterations, found.chi_square)

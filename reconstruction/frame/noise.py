@@ -134,7 +134,7 @@ def photon_transfer(mean: Image, variance: Image, *, frames: int, dark_variance:
     """
     if frames < _FEWEST_FRAMES:
         return None
-    scatter = _median_of_chi_square(frames - 1)
+    scatter = (1 - 2 / (9 * (frames - 1))) ** 3  # median over mean of chi-square (Wilson and Hilferty 1931)
     read_variance = float(np.median(dark_variance)) / scatter
     order = np.argsort(mean, axis=None)
     light = np.array([np.mean(part) for part in np.array_split(mean.ravel()[order], _BINS)])
@@ -188,8 +188,3 @@ def _typical_square(deviations: Floats) -> float:
     squares = deviations**2
     median = np.median(squares) / _MEDIAN_SQUARE
     return float(np.mean(squares, where=squares <= _OUTLYING * median) / _INNER_SQUARE)
-
-
-def _median_of_chi_square(degrees: int) -> float:
-    """Median over mean of the chi-square distribution (Wilson and Hilferty 1931)."""
-    return (1 - 2 / (9 * degrees)) ** 3

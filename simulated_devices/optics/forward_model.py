@@ -303,8 +303,3 @@ class ForwardModel:
         tilted = field(x_m, y_m) * tilt_x
         tilted *= tilt_y[:, None]
         return np.asarray(tilted, np.complex64)
-
-
-def phase_only(phase: Callable[[float, float], Image]) -> PointField:
-    """Field of uniform light with a phase at the pupil samples, (sample_row, sample_column), rad."""
-    return lambda x_m, y_m: np.exp(1j * phase(x_m, y_m)).astype(np.complex64)

@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from reconstruction.arrays import Floats, Image
+from reconstruction.arrays import Floats, Image, PointField
 from reconstruction.displacement import Displacement, diagonal_covariance
 from reconstruction.frame.noise import CameraNoise, KnownNoise
 from reconstruction.frame.pixels import KnownCamera
@@ -18,7 +18,7 @@ from reconstruction.modes.field_modes import FieldModes
 from reconstruction.reconstructor import Reconstructor
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings, SampleModel, Warp
-from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.source import SourcePoints, source_points
 from simulated_devices.settings import Source
 
@@ -54,6 +54,11 @@ def converged(modes: FieldModes, coefficients: Floats, variance: Floats) -> Disp
 
 
 PointValues = Callable[[float, float], Image]  # of an object point (x_m, y_m), at the pupil samples
+
+
+def phase_only(phase: PointValues) -> PointField:
+    """Field of uniform light with a phase at the pupil samples, (sample_row, sample_column), rad."""
+    return lambda x_m, y_m: np.exp(1j * phase(x_m, y_m)).astype(np.complex64)
 
 
 def checkerboard(cells: int = 6, object_samples: int = 24) -> SourcePoints:

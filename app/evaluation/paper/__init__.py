@@ -20,7 +20,7 @@ from app.bench.config import Bench
 from app.errors import InputError
 from app.evaluation.frames import NoiseFreeFrames, seeded
 from app.evaluation.paper import nonrigid_methods
-from app.files import atomic_write, write_whole
+from app.files import atomic_write
 from app.measurement.calibration import Calibration
 from app.progress import Progress, part
 from app.run_facts import write_record
@@ -304,22 +304,13 @@ def summary(data: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_table(table: Table, data: pd.DataFrame, out: Path) -> None:
-    """Write JSON, CSV and figure of a table into a folder, with the paper's numbers next to ours."""
+    """Write JSON and figure of a table into a folder, with the paper's numbers next to ours."""
     paper = {method: dict(zip(NUMBERS, numbers, strict=True)) for method, numbers in PAPER.get(table, {}).items()}
     ours: dict[str, dict[str, Row]] = {light: {} for light in LIGHTS}
     for row in summary(data).to_dict("records"):
         ours[row["light"]][row["method"]] = {str(name): value for name, value in row.items()}
     tree = {"paper": paper, "ours": ours["neglected"], "in_real_light": ours["real"], "problems": problems(data)}
     write_record(out / f"{table}.json", tree)
-    lines = [
-        {"method": method}
-        | {f"paper_{name}": value for name, value in paper.get(method, {}).items()}
-        | ours["neglected"].get(method, {})
-        | {f"real_{name}": value for name, value in ours["real"].get(method, {}).items()}
-        for method in dict.fromkeys([*ours["neglected"], *ours["real"]])
-    ]
-    csv = pd.DataFrame(lines, dtype=object).to_csv(index=False, lineterminator="\r\n")
-    write_whole(out / f"{table}.csv", csv)
     with atomic_write(out / f"{table}.png") as temporary:
         figure(table, data).savefig(temporary, dpi=100)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import re
 from pathlib import Path
@@ -52,11 +51,6 @@ def test_table_1_orders_the_methods_like_the_paper(
     assert set(real) == set(ours)
     assert max(mean["automatic"], real["automatic"]) < 0.05
     assert real["affine_modal"] > 1.2 * mean["affine_modal"]
-    with (tmp_path / "table1.csv").open() as file:
-        rows = {row["method"]: row for row in csv.DictReader(file)}
-    assert float(rows["affine_zonal"]["mean_rad"]) == mean["affine_zonal"]
-    assert float(rows["stars_zonal"]["paper_mean_rad"]) == 0.147
-    assert float(rows["affine_zonal"]["real_mean_rad"]) == real["affine_zonal"]
     assert_drawn(tmp_path / "table1.png")
     assert re.search(r"shift_zonal\s+0\.511\s+1\.260\s+0\.830\s+\d", capsys.readouterr().out)
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from support.optics import FIELD, SmallBench
+from support.optics import FIELD, SmallBench, phase_only
 
 from reconstruction.arrays import Booleans, Image
 from reconstruction.displacement import Displacement, LensletStatus
@@ -16,7 +16,6 @@ from reconstruction.registration import prepare_registration
 from reconstruction.registration.centroids import Centroids
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import RegistrationSettings
-from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.optics import FIELD, SmallBench
+from support.optics import FIELD, SmallBench, phase_only
 
 from reconstruction.arrays import Image
 from reconstruction.displacement import LensletStatus, RegistrationMethod
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.registration.gauss_newton import GaussNewton
 from reconstruction.registration.subimages import ReferenceSubimages
-from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.optics import FIELD, sensor_of
+from support.optics import FIELD, phase_only, sensor_of
 
 from reconstruction.arrays import Floats, Image
 from reconstruction.geometry import Field, Lattice, nominal_lattice
-from simulated_devices.optics.forward_model import ForwardModel, phase_only
+from simulated_devices.optics.forward_model import ForwardModel
 from simulated_devices.optics.phase_screen import PhaseScreen
 from simulated_devices.optics.screen_light import RayMap, truth_wavefront
 from simulated_devices.optics.source import SourcePoints

@@ -168,16 +168,15 @@ def test_drift_enlarges_and_moves_the_screen() -> None:
     assert make_sample(moving, SENSOR, FIELD).screen.half_width_m[0] >= need_m + 48 * 0.1 * 2e-4
 
 
-def test_too_large_screen_is_refused_with_allowed_values() -> None:
+def test_too_large_screen_is_refused() -> None:
     def drifting(drift_m_per_s: float) -> Simulation:
         return Simulation(screen=Screen(drift_y_m_per_s=-drift_m_per_s))
 
     field = replace(FIELD, neglect_propagation=True)  # else there is a guard around the footprint
     for drift_m_per_s in (10.0, 1e308):
-        with pytest.raises(ValueError, match=r"^drift_x_m_per_s .* drifting_states .* sample_spacing_m ") as caught:
+        with pytest.raises(ValueError, match=r"^sample_spacing_m must be larger .* drift .* samples a side"):
             make_sample(drifting(drift_m_per_s), SENSOR, field)
-    allowed = float(str(caught.value).split("at most ")[1].split()[0])
-    assert allowed == pytest.approx((8000 / 2 * 25e-6 - 8e-3 - 4.3e-3) / (48 * 0.1), rel=0.01)
+    allowed = 0.995 * (8000 / 2 * 25e-6 - 8e-3 - 4.3e-3) / (48 * 0.1)
     rays = ray_map(Screen(), FIELD)
     size = screen_size(drifting(allowed), SENSOR, field, rays)
     assert 7900 < 385 + 2 * (size.enlarged_by + size.guard) + 2 * 320 <= 8000

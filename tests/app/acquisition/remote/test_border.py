@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.gui_bench import BENCH, make_frame
-from support.optics import FIELD, SmallBench
+from support.optics import FIELD, SmallBench, phase_only
 from support.patience import HANG_S, wait_until
 
 from app.acquisition.remote.frames import RemoteFrames
@@ -31,7 +31,6 @@ from reconstruction.reconstructor import Reconstructor
 from reconstruction.settings import ReconstructionSettings, RegistrationSettings
 from reconstruction.solve.modal import ModalSolution
 from reconstruction.wavefront import Wavefront
-from simulated_devices.optics.forward_model import phase_only
 from simulated_devices.optics.source import stars
 from simulated_devices.settings import Source
 
