@@ -128,7 +128,7 @@ def _read_tiff(path: Path, index: int | None) -> NDArray[Any]:
         images = [page for page in pages if not page.keyframe.is_reduced]
         if len(images) < 2:  # a stack may be a single page
             images = [series for series in file.series if not series.keyframe.is_reduced]
-        series, index = _chosen(images, path, index)
+        series, index = _image_of(images, path, index)
         require_few_pixels(series.shape)
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
@@ -192,7 +192,7 @@ def _read_fits(path: Path, index: int | None) -> NDArray[Any]:
         warnings.filterwarnings("error", "File may have been truncated")
         try:
             images = [unit for unit in fits.open(file) if unit.is_image and unit.shape]
-            image, index = _chosen(images, path, index)
+            image, index = _image_of(images, path, index)
             require_few_pixels(image.shape)
             values, blank = image.data, image.header.get("BLANK")
         except (KeyError, TypeError) as error:
@@ -202,7 +202,7 @@ def _read_fits(path: Path, index: int | None) -> NDArray[Any]:
         return np.array(values if index is None else plane_of(values, index), values.dtype.newbyteorder("="))
 
 
-def _chosen(images: list[Any], path: Path, index: int | None) -> tuple[Any, int | None]:
+def _image_of(images: list[Any], path: Path, index: int | None) -> tuple[Any, int | None]:
     """Return the image with an index of several, or the only one with the index that chooses of its planes."""
     if index is not None and len(images) > 1:
         return images[number_in(images, index)], None
