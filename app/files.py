@@ -182,10 +182,7 @@ def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield an empty file that replaces `path` on success and is deleted on failure (atomic write).
-
-    Its name cannot be predicted, so that nobody else can put a link there. It is on the disk before it replaces `path`.
-    """
+    """Yield an unpredictable file that, written and synced, replaces `path`, and is deleted on failure (atomic)."""
     if not path.name or (path.exists() and not path.is_file()):
         raise RunError(f"{path}: not a file that can be written")
     target = reachable(path)
@@ -218,10 +215,7 @@ def write_csv(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def remove_partial(folder: Path) -> list[Path]:
-    """Remove what killed processes left half-written in a folder and those in it; return the paths.
-
-    Nobody may be writing there.
-    """
+    """Remove what killed processes left half-written in a folder where nobody writes; return the paths."""
     found = sorted(folder.rglob(f".*{_PARTIAL}*"))
     for left in found:
         try:

@@ -218,10 +218,7 @@ def is_container(start: bytes, path: Path) -> bool:
 
 
 def read_array(start: bytes, path: Path, name: str, index: int | None) -> NDArray[Any]:
-    """Read the array with a name, without one the only image, and of a stack the image with an index.
-
-    Stacks lie along the last axis in MAT files, else along the first. `ValueError` says what to name instead.
-    """
+    """Read the array with a name, or the only one, of a stack that with an index; `ValueError` says what to name."""
     opened = _opened_mat if path.suffix.lower() == ".mat" or start.startswith(_MAT) else _opened_npz
     in_matlab = start.startswith(_MAT_IN_HDF5)
     if in_matlab or start.startswith(_HDF5):
@@ -332,11 +329,7 @@ def write_stack(
     pixel_um: float,
     interval_s: float | None = None,
 ) -> None:
-    """Write images (row, column) of one size and type, one for each label, as BigTIFF for ImageJ.
-
-    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
-    `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.
-    """
+    """Write images (row, column), one for each label, as a BigTIFF for ImageJ: tifffile's own mode ends at 4 GB."""
     remaining = iter(images)
     first = next(remaining)
     shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})

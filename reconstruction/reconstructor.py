@@ -81,10 +81,7 @@ _CHOSEN_WARPS = list(_SYSTEMATIC_RAD)
 
 
 def _called(what: str, kind: type | None, function: Any, *arguments: Any, **more: Any) -> Any:
-    """Call an own method, which is to return a `kind` of object, or with None a callable.
-
-    `ReconstructionError` if it is no callable, takes other arguments, or returns something else.
-    """
+    """Call an own method, which is to return a `kind`, or with None a callable; else `ReconstructionError`."""
     as_told = "as in svwfs docs extending"
     if not callable(function):
         raise ReconstructionError(f"{what} must be a callable, {as_told}, not {function!r:.60}")
@@ -246,10 +243,7 @@ class Reconstructor:
         return self.absorbing if displacement.absorbs else self
 
     def shows_absorption(self, displacement: Displacement) -> bool:
-        """True if the brightness of the subimages varies more over the field than that of a clear sample.
-
-        A linear brightness is no displacement anyway; the quadratic part tells.
-        """
+        """True if the subimages' brightness over the field has more quadratic terms than that of a clear sample."""
         found = displacement.transmission if self._may_absorb else None
         if found is None:
             return False
@@ -448,10 +442,7 @@ class Reconstructor:
         return prepare(min(warps, key=lambda warp: self._expected_error_rad2(warp, prepare(warp))))
 
     def _expected_error_rad2(self, warp: Warp, prepared: _Registration) -> float:
-        """Mean expected square error of the views with a warp: predicted noise and systematic error.
-
-        Every lenslet counts as certain as the mean valid one.
-        """
+        """Mean expected square error of the views by noise and systematic error with a warp, lenslets alike."""
         at_rest, parameters, sensor = prepared.at_rest, prepared.parameters, self.sensor
         if prepared.hidden or not at_rest.valid.any():  # nothing determines it
             return math.inf

@@ -118,10 +118,7 @@ def _fill_normal(
 
 @compiled
 def poisson(mean: float, z: float, bits: np.uint64) -> float:
-    """Poisson deviate: by inversion for a small mean, by Cornish-Fisher for a larger one.
-
-    `z` is the normal deviate of the same bits.
-    """
+    """Poisson deviate: by inversion for a small mean, else from normal `z` of the same bits (Cornish-Fisher)."""
     if mean >= _INVERSION_LIMIT:
         root = math.sqrt(mean - 1 / 12)  # rounding to whole electrons adds the twelfth again
         return math.floor(mean + root * z + (z * z - 1) / 6 + (z - z * z * z) / (72 * root) + 0.5)
@@ -196,10 +193,7 @@ def _expose_pixel(mean: float, bits: np.uint64, chip: Chip) -> np.uint16:
 
 @compiled
 def expose_rows(image: Image, dose: np.float32, key: np.uint64, chip: Chip, counts: NDArray[np.uint16]) -> None:
-    """Fill `counts`, (row, column), from mean photons, `image` x `dose`.
-
-    The loop over a row is in single precision, for as many pixels at a time as possible.
-    """
+    """Fill `counts`, (row, column), from mean photons, `image` x `dose`, a row at a time in single precision."""
     columns, zero, one, two, three, five = image.shape[1], *_NUMBERS
     variance, third, fourth = _moments(chip.em_gain)
     second_e, third_e, fourth_e = np.float32(variance), np.float32(third / 6), np.float32(fourth / 24)

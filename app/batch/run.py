@@ -57,10 +57,7 @@ class _DoneBlock:
 
 
 def check_batch(folders: Sequence[Path], out: Path, job: BatchJob) -> tuple[list[BatchInput], Batch]:
-    """Check what a batch reads; return the complete recordings, and the others in a `Batch`.
-
-    `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
-    """
+    """Return the complete recordings of a batch, and the others in a `Batch`; `InputError` if none can be used."""
     for folder in folders:
         if out.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
@@ -95,12 +92,7 @@ def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) ->
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: BatchJob, evaluate: Evaluate, progress: Progress) -> Batch:
-    """Reconstruct the missing blocks of recordings into the store `out`, which is made if necessary.
-
-    `evaluate` calls a function with each block, here or on workers that see the same folders. `InputError` if no
-    recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
-    lost; `Interrupted` on Ctrl-C. What was finished stays, and the text says how much that is.
-    """
+    """Reconstruct the missing blocks of recordings, by `evaluate` here or on workers, into the store `out`."""
     sources, batch = check_batch(folders, out, job)
     with _only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
@@ -258,8 +250,5 @@ def _prepared(source: BatchInput, job: BatchJob) -> Reprocessing:
 
 
 def dask_setup(_worker: object) -> None:
-    """Ignore Ctrl-C, which a terminal sends to all processes; Dask calls this as a worker starts.
-
-    The command stops its workers. They load this module while they start, rather than with the first block.
-    """
+    """Ignore Ctrl-C, which a terminal sends to all processes; Dask calls this as a worker loads this module."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

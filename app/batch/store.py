@@ -123,10 +123,7 @@ class ResultStore:
             )
 
     def register(self, sources: Sequence[BatchInput]) -> tuple[list[tuple[int, BatchInput]], dict[Path, str]]:
-        """Give each recording its number in the store, making space for new ones.
-
-        Returns the numbers with the recordings, and the reason for each recording that has changed.
-        """
+        """Give each recording a number in the store; return numbers and recordings, and why others have changed."""
         known = self._known()
         numbers = {record["fingerprint"]: number for number, record in enumerate(known)}
         folders = {record["folder"] for record in known}
@@ -177,10 +174,7 @@ class ResultStore:
         return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
 
     def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset], damaged: Iterable[int]) -> None:
-        """Write the results of one block, as `results_in_pieces` yields them.
-
-        `damaged` has the indices of the frames that turn out to be damaged; it is filled by `pieces`.
-        """
+        """Write the results of one block; its `pieces` fill in the indices of `damaged` frames meanwhile."""
         values: dict[str, NDArray[Any]] = {
             name: np.full((len(frames), *array.shape[2:]), array.fill_value, array.dtype)
             for name, array in self._of_frames.items()

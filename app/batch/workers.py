@@ -41,10 +41,7 @@ class Workers:
         self._client = client
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
-        """Yield each item with its result or error, as they finish.
-
-        `RunError` is the result of every item that a lost scheduler leaves undone.
-        """
+        """Yield each item with its result or error as they finish; `RunError` where the scheduler was lost."""
         from distributed import as_completed
 
         remaining = iter(items)
@@ -87,11 +84,7 @@ def _outcome(future: Any) -> Any:
 
 @contextmanager
 def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
-    """Start `count` workers, by default one for each core, or connect to the scheduler at an address.
-
-    Processes started here accept only connections with a certificate of this run (TLS). `InputError` if Dask is not
-    installed, or both are given, `RunError` if there is no scheduler at the address.
-    """
+    """Start `count` workers, by default one for each core, with TLS, or connect to a scheduler's address."""
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses the workers of a cluster: give one option")
     if scheduler is not None:

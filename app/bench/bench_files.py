@@ -40,10 +40,7 @@ def written_by(source: object, software: object) -> Iterator[None]:
 
 
 def bench_file(source: str | Path) -> Path:
-    """Return the file of a bench: a plain word is a preset, a name with a slash or a suffix is a path.
-
-    So nothing in the working directory takes the place of a preset. `InputError` if there is no such bench.
-    """
+    """Return the file of a bench: a plain word is a preset, whatever the working directory holds."""
     path, name = Path(source), str(source)
     known = f"give a bench TOML or a preset ({', '.join(PRESETS)})"
     try:

@@ -219,11 +219,7 @@ def as_bench(bench: object) -> Bench:
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
-    """Parse a bench from TOML text; `name` represents it in errors.
-
-    `overrides` are "section.key=value" as in TOML. `BenchError` names the key and what is allowed in one sentence, with
-    the line and the setting.
-    """
+    """Parse a bench from TOML text, with "section.key=value" changes; `BenchError` names key, limit and line."""
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:

@@ -31,10 +31,7 @@ _LEAST_SAMPLES = 4  # that the forward model accepts
 
 
 def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
-    """Model of one lenslet with the source that the reference shows; see `subimages.LensletModel`.
-
-    Raises `ReconstructionError` if the reference does not allow a model.
-    """
+    """Model of one lenslet with the source that the reference shows; `ReconstructionError` if it shows none."""
     return lenslet_image(bench, measured_source(reference, bench), reference.width, _pupil_samples(reference))
 
 
@@ -69,10 +66,7 @@ def measured_source(reference: ReferenceSubimages, bench: Bench) -> SourcePoints
 
 
 class BenchModel:
-    """Coarse model of one bench with one reference; see `refinement.ImagingModel`.
-
-    The brightness of the source, and light and own wavefront of each lenslet are estimated from the reference.
-    """
+    """Coarse model of one bench; source, light and own wavefronts are estimated from the reference."""
 
     def __init__(self, bench: Bench, reconstructor: Reconstructor, *, threads: int = THREADS) -> None:
         lattice, reference = reconstructor.lattice, reconstructor.subimages

@@ -42,11 +42,7 @@ def name_of(value: str) -> str:
 
 
 def typed_number(text: str, unit: str, factor: float) -> float | None:
-    """Return the number in SI units that a text such as "27,5 mA" represents; None if it is none.
-
-    Without a unit it counts in `unit`, which is `factor` times that without its prefix. Other prefixes of it are
-    understood, and a comma or a point separates decimals.
-    """
+    """Return a text such as "27,5 mA" in SI units, a plain number in `unit` of that factor; None if it is none."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return None
@@ -127,10 +123,7 @@ class SettingsForm:
         return cls(tomllib.loads(write_bench(bench)), is_new=is_new)
 
     def sections(self) -> tuple[FormSection, ...]:
-        """Return all sections with the present values; those of camera and light belong to their drivers.
-
-        A new bench has none of the simulation, and the fields that must be typed are empty.
-        """
+        """Return all sections with the present values; a new bench has no simulation, and lacks what must be typed."""
         self._shown = copy.deepcopy(self._tree)
         sections: list[FormSection] = []
         for name, schema in bench_schema()["properties"].items():
@@ -190,10 +183,7 @@ def fault_path(error: InputError) -> str:
 
 
 def fault_in_words(error: InputError, fields: Mapping[str, FormField]) -> str:
-    """Return an error of a form's bench with labels and units in place of keys and SI units.
-
-    `fields` are the fields by path, as they are shown.
-    """
+    """Return an error of a form's bench with labels and units of the fields in place of keys and SI units."""
     fault = getattr(error, "fault", None)
     if fault is None or fault.path not in fields:
         return str(error).removeprefix("the settings: ")

@@ -47,10 +47,7 @@ _MOST = 10**300  # larger integers are no better
 
 
 def read_section(cls: Any, values: object, path: str) -> Any:
-    """Read a section as TOML has it; only whole numbers are converted, to floats.
-
-    Raises `SettingError` with the path of the first wrong key; an unknown one comes before the others.
-    """
+    """Read a section as TOML has it, whole numbers also as floats; `SettingError` names the first wrong key."""
     from pydantic import ValidationError
 
     try:

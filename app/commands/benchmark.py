@@ -144,10 +144,7 @@ def find_rate(plan: Callable[[float], LivePlan], progress: Progress) -> float:
 
 
 def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
-    """Measure both runs; without a display the window is drawn offscreen.
-
-    The light is turned off and the recording removed, also on an error or Ctrl-C.
-    """
+    """Measure both runs, offscreen without a display; turn the light off and remove the recording on errors, too."""
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.acquisition.start_up import HeadlessRun
     from app.commands.display import use_display

@@ -36,11 +36,7 @@ _HIDDEN = "(serial number)"
 
 
 def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
-    """Check a device against the contract of its kind, and print a report; `RunError` if it fails.
-
-    With a bench, the name is "camera" or "light", and the device is opened with the bench's settings. The report can be
-    published: serial numbers are hidden unless asked for.
-    """
+    """Check a device, or a bench's "camera" or "light", and print a public report; `RunError` if it fails."""
     section, settings = _connected(name) if bench is None else (name, _configured(bench, name))
     log = _CheckLog(settings, is_open=serial_numbers)
     log.print_versions()

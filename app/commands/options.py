@@ -156,10 +156,7 @@ class OnceCommand(TyperCommand):
     """Command that refuses a repeated option, no number, an empty name, and a folder's name for a file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the arguments; a repeated option would else replace itself, an empty name be this folder's.
-
-        A final slash would be ignored, and NaN fail long after.
-        """
+        """Parse the arguments; refuse repeated options, empty names, NaN, and folders in place of files."""
         values, _, order = self.make_parser(ctx).parse_args(args=list(args))
         for option, count in Counter(order).items():
             given = values.get(option.name)

@@ -161,10 +161,7 @@ def ask(request: str) -> None:
 
 
 def confirm_libraries(bench: Bench, *, is_trusted: bool) -> None:
-    """Ask whether each library of a bench may be loaded; if `is_trusted`, remember it without asking.
-
-    `InputError` if it is refused, or no terminal is attached.
-    """
+    """Ask, or if `is_trusted` remember, whether each library of a bench may be loaded; `InputError` if not."""
     from app.bench.trusted_libraries import trust, unconfirmed
 
     for library in unconfirmed(bench):

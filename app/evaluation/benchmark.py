@@ -32,10 +32,7 @@ _LEAST_CALLS = 3
 def run_benchmark(
     bench: Bench, progress: Progress, *, budget_s: float = 1.5, sizes: Sequence[tuple[int, int]] = _SIZES
 ) -> Json:
-    """Time the quadratic warp, started at the previous frame, with BLAS in one thread, as in the live path.
-
-    Every call is timed for `budget_s`. The first of `lattices` is the bench's own.
-    """
+    """Time the quadratic warp for `budget_s` a call, as live with one BLAS thread; first the bench's lattice."""
     with one_blas_thread():
         progress("rendering", 0.0)
         frames = noisy(noise_free(bench), np.random.default_rng(1))
@@ -152,10 +149,7 @@ def noisy(frames: TimedFrames, rng: np.random.Generator) -> TimedFrames:
 
 
 def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFrames:
-    """Tile frames of `lenslets` x `lenslets` with a dark margin; their truth is unknown.
-
-    `ValueError` if lenslets of whole pixels do not fill the frame.
-    """
+    """Tile frames with a dark margin to `lenslets` a side, of whole pixels; their truth is unknown."""
     sensor, pitch_px = frames.bench.sensor, round(frames.lattice.pitch_px)
     rows, columns = frames.reference.shape
     if (rows, columns) != tuple(count * pitch_px for count in sensor.lenslets):

@@ -74,10 +74,7 @@ class LivePlan:
 
 @contextmanager
 def recording_folder(plan: LivePlan, progress: Progress) -> Iterator[Path | None]:
-    """Give a new folder for the recording and remove it at the end; None without a recording.
-
-    `InputError` if the plan's folder is missing, not writable or too small.
-    """
+    """Give a new folder for the recording, None without one, and remove it; `InputError` if there is no space."""
     where = plan.record_in
     if where is None:
         yield None
@@ -163,10 +160,7 @@ class Span:
 def measure_span(
     run: HeadlessRun, began_s: float, warm_up_s: float, seconds: float, record_into: Path | None = None
 ) -> Generator[None, None, Span]:
-    """Make the steps of a run that began at a time, some times a second; return a span after the warm-up.
-
-    `RunError` or `InputError` if a step fails.
-    """
+    """Make the steps of a run that began at a time; return a span after the warm-up, or raise its fault."""
     acquisition = run.acquisition
     first_s = yield from run.first_wavefront(_GIVE_UP_S)
     acquisition.timings.forget_longest()  # of this process; those of the instrument begin with the recording

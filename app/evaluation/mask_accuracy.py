@@ -63,11 +63,7 @@ def with_mask(bench: Bench, name: str) -> Bench:
 
 
 def predicted_accuracies(bench: Bench, progress: Progress) -> dict[str, dict[str, float]]:
-    """Predict light, residuals and noise (rad) of the plain square and the bench's mask, by mask and figure.
-
-    Errors are means over the views inside the mask of the RMS over the lenslets. `InputError` if the bench cannot be
-    rendered, or no view lies inside the mask.
-    """
+    """Predict light and mean errors (rad) of the square and the bench's mask; `InputError` if none is possible."""
     square = NoiseFreeFrames(bench).reference("square")
     found: dict[str, dict[str, float]] = {}
     for mask in dict.fromkeys(("square", bench.simulation.source.mask)):
@@ -134,10 +130,7 @@ def without_prior(bench: Bench) -> ReconstructionSettings:
 
 
 def lit_views(bench: Bench) -> Booleans:
-    """True for views within the convex hull of the points with a tenth of the highest brightness.
-
-    Shape (view_row, view_column).
-    """
+    """True for views (view_row, view_column) in the convex hull of points with a tenth of the most brightness."""
     simulation, field = bench.simulation, bench.field
     points = source_points(simulation.source.mask, simulation.source, object_samples=simulation.object_samples)
     try:
@@ -193,10 +186,7 @@ def true_lenslet(bench: Bench, width: int) -> LensletImage:
 
 
 def linear_pass(bench: Bench, reconstructor: Reconstructor, reference: Image) -> Callable[[Sample], Displacement]:
-    """Prepare one pass of a reconstruction for screens without noise, to first order in their wavefronts.
-
-    The reference (row, column) is above the dark, in the unit of the frames.
-    """
+    """Prepare a pass for screens without noise, to first order; the reference (row, column) is above the dark."""
     registration, at_rest = reconstructor.registration_for(reference), reconstructor.register(reference)
     if not isinstance(registration, WarpRegistration):
         raise TypeError("only a registration that fits warps has a response")

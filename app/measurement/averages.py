@@ -41,10 +41,7 @@ class Average:
 
 
 def average(camera: Camera, frames: int, callbacks: RoutineCallbacks) -> Average:
-    """Restart the camera, to exclude earlier frames, and average `frames` frames.
-
-    Recurrence of B. P. Welford (Technometrics 4, 419, 1962), which avoids cancellation.
-    """
+    """Restart the camera and average frames, by B. P. Welford's recurrence (Technometrics 4, 419, 1962)."""
     camera.stop()
     camera.start()
     mean, squares = np.zeros((2, camera.capabilities.rows, camera.capabilities.columns))

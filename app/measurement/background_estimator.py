@@ -180,10 +180,7 @@ def _work(messages: Iterator[Any], answer: Callable[[object], None]) -> None:
 
 
 def _are_alike(found: AssumedSample, before: AssumedSample, sigmas: float) -> bool:
-    """True if two searches have found as many layers, and rivals, at places that differ by so many standard errors.
-
-    Those of rivals need not be alike: they say only how much is open.
-    """
+    """True if two searches have found as many layers within some standard errors; their rivals may differ."""
     if (len(found.ratios), len(found.rivals)) != (len(before.ratios), len(before.rivals)):
         return False
     moved = np.abs(np.subtract(found.ratios, before.ratios))
@@ -239,10 +236,7 @@ class LiveEstimator:
             self._background_estimator.stop()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
-        """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies.
-
-        A frame that contradicts the sample, with the bias and without, is solved for any wavefront.
-        """
+        """Reconstruct a frame of that time with the newest bias, and the newest sample unless it contradicts that."""
         found = self._found  # read once: the thread may replace it
         sample = found.sample or FREE
         if found.bias is None:

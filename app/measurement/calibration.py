@@ -50,10 +50,7 @@ class Calibration:
         lattice: Lattice | None = None,
         known: KnownNoise | None = None,
     ) -> Calibration:
-        """Find lattice and pupil in the reference unless they are configured, or the `lattice` is known.
-
-        `ReconstructionError` if it shows none.
-        """
+        """Find lattice and pupil, unless known, in the reference; `ReconstructionError` if it shows none."""
         lattice = lattice or bench.lattice
         if lattice is None:
             found = surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale)

@@ -39,10 +39,7 @@ Solve: TypeAlias = Callable[[Displacement], tuple[Wavefront, Assumptions]]
 
 
 class Estimator:
-    """Reconstructor, judge and refinement of one calibration; each is prepared when it is first used.
-
-    Each of them raises a `ReconstructionError` then, if the calibration does not allow it.
-    """
+    """Reconstructor, judge and refinement of one calibration, each prepared, or refused, at its first use."""
 
     def __init__(self, calibration: Calibration, *, threads: int = THREADS) -> None:
         """`threads` render the forward model; only a single one always rounds alike."""
@@ -116,10 +113,7 @@ class Estimator:
         rounds: int = 0,
         seen: Callable[[Round], object] = lambda _: None,
     ) -> tuple[Wavefront, Assumptions]:
-        """Solve for displacements, with their own `sample` if None is given.
-
-        The wavefront is refined in at most `rounds`, fewer where it settles; `seen` is called with each.
-        """
+        """Solve for displacements, in up to `rounds` that `seen` gets; `sample` None: the displacements' own."""
         sample = self.reconstructor.find_sample(registered) if sample is None else sample
         step = None
         for step in self.refinement.rounds(registered, rounds, sample) if rounds else ():
@@ -138,11 +132,7 @@ class Estimator:
         absorbs: bool | None = None,
         previous: Frame | None = None,
     ) -> Measurement:
-        """Register, solve and judge a frame, or say why that is impossible.
-
-        `start` is the displacement of an earlier frame, `previous` the frame before this one. The frame shows whether
-        the sample `absorbs`, unless that is given.
-        """
+        """Register, solve and judge a frame, or say why not; `start` and `previous` are of earlier frames."""
         try:
             with timings.of("register"):
                 registered = self.reconstructor.register(frame.pixels, start=start, absorbs=absorbs)
@@ -181,11 +171,7 @@ def _beside(previous: Frame | None, frame: Frame) -> Quality:
 
 
 def mask_sentence(reconstructor: Reconstructor, sample: AssumedSample | None = None) -> str:
-    """Say which displacements mask or warp leave out, and what they follow from; empty if all are shown.
-
-    Also say if the bias of mean gradients is left out. Without a `sample`, of frames in general, also if these are
-    registered as spots.
-    """
+    """Say which displacements mask or warp leave out, of a `sample` or in general; empty if all are shown."""
     registration, reconstruction = reconstructor.registration, reconstructor.reconstruction
     bias = "displacements count as mean gradients of the wavefront, whose bias the error bars leave out"
     are_spots = registration.method == "centroids"  # which lie where the mean gradient displaces them

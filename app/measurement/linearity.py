@@ -23,10 +23,7 @@ _MARGIN = 1.2  # of the exposure that a lower current shall demand
 
 
 def measure_linearity(devices: Devices, cell_px: float, frames: int, callbacks: RoutineCallbacks) -> MeasuredLinearity:
-    """Measure the nonlinearity in the camera's present mode from averages of `frames` frames.
-
-    `cell_px` is the lenslet pitch on the camera. A `RoutineError` says why that is impossible; everything is restored.
-    """
+    """Measure the nonlinearity in the camera's present mode from averages of `frames` frames; restore all."""
     camera, light = devices.camera, devices.light
     if isinstance(light, ManualLight):
         raise RoutineError("a light that is switched by hand is not as steady as this needs: connect its driver")

@@ -226,10 +226,7 @@ class OfflineReconstructor:
 
 
 def _known_noise(frame: TransferCurve | None, reference: TransferCurve | None) -> KnownNoise:
-    """Noise of a frame, if it can be seen, and the number of frames averaged in the reference.
-
-    Filtering or a gamma can hide the noise of a frame; then it is that of the reference.
-    """
+    """Noise of a frame, or of the reference if filtered, and the number of frames averaged in the reference."""
     of_frame, of_reference = (None if curve is None else curve.noise for curve in (frame, reference))
     if of_frame is None or of_reference is None:
         return KnownNoise(of_frame or of_reference, math.inf if of_frame else 1.0, reference)
@@ -262,10 +259,7 @@ def whole_number(value: object, what: str) -> int:
 
 
 def full_scale_of(image: NDArray[Any], bits: int) -> float:
-    """Saturation level of an image (row, column), counts: the lower maximum of camera and integer type.
-
-    It is infinite for floats beyond the camera's range.
-    """
+    """Saturation level of an image (row, column), counts: that of camera or type; infinite for larger floats."""
     camera = 2.0**bits - 1
     if image.dtype.kind in "ui":
         return min(camera, float(np.iinfo(image.dtype).max))

@@ -56,11 +56,7 @@ class RoutineError(RunError):
 
 
 def next_frame(camera: Camera, should_stop: ShouldStop) -> Frame:
-    """Wait for the next frame in slices; raise `Cancelled` on a stop, `DeviceTimeout` if none arrives.
-
-    Lost frames are skipped; they show as a gap in the frame index. Time in which this process was stopped does not
-    count.
-    """
+    """Wait for the next frame, lost ones skipped; `Cancelled` on a stop, `DeviceTimeout` if none arrives."""
     left_s, before_s = camera.exposure_s + _MARGIN_S, time.monotonic()
     while True:
         if should_stop():
@@ -120,10 +116,7 @@ class DeviceState:
 
 @contextmanager
 def restored(devices: Devices) -> Iterator[DeviceState]:
-    """Restore light, current, stage, exposure and a running camera after a `with`, also on an error.
-
-    After a device fault only the light is turned off; the owner of the devices closes them.
-    """
+    """Restore light, current, stage, exposure and running camera after a `with`; after a fault only the light."""
     is_restored = False
     try:
         state = DeviceState.of(devices)

@@ -102,10 +102,7 @@ def remove_empty(folder: Path) -> None:
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make a new folder, named with -2, -3, ... if the name is taken.
-
-    It is taken, too, by a recording of the same second that got a longer name meanwhile.
-    """
+    """Make a new folder, named with -2, -3, ... if the name, also before a longer one, is taken."""
     try:
         check_writable(wanted.parent)
         reachable(wanted.parent).mkdir(parents=True, exist_ok=True)
@@ -135,10 +132,7 @@ def _unusable(folder: Path, error: OSError | ValueError) -> InputError:
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock an open file until it is closed or the process ends.
-
-    `InputError` if it is locked already, `RunError` if the disk has no locks, as some network shares.
-    """
+    """Lock an open file until it is closed; `InputError` if it is locked, `RunError` on a disk without locks."""
     try:
         if has_locked(file.fileno()):
             return

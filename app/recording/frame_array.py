@@ -72,11 +72,7 @@ class FrameArray:
 
     @classmethod
     def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
-        """Make an array for values like these of one frame; its first dimension is `t`, the frame.
-
-        With the separator "/", which OME-NGFF demands for images, each chunk has its own folder; with "." all lie in
-        one.
-        """
+        """Make an array for values like these of one frame; "/" as separator gives each chunk a folder (OME-NGFF)."""
         group, separator = store, "/" if name == PIXELS else "."
         in_chunk = max(1, min(_FRAMES_IN_CHUNK, _CHUNK_BYTES // max(values.nbytes, 1)))
         for part in Path(name).parent.parts:

@@ -88,10 +88,7 @@ class RecordedCamera(Camera):
         return self._line().calibration
 
     def show(self, position: int) -> Frame:
-        """Return the frame at a position at once, also while stopped; playing continues after it.
-
-        `FrameLost` if it is damaged.
-        """
+        """Return the frame at a position at once, or `FrameLost`; playing continues after it."""
         self._position, self._due_s = position, self._clock.now()
         return self._play()
 
@@ -274,10 +271,7 @@ class RecordedStage(Stage):
 
 
 class AveragedFrames:
-    """Frames that repeat with the period of an average: their mean is exact, their variance nearly.
-
-    Each pixel alternates above and below its mean by its spread, between 0 and `full_scale`.
-    """
+    """Frames that alternate about an average by their spread: the mean is exact, the variance nearly."""
 
     def __init__(self, average: Average, full_scale: int) -> None:
         self._frames, self._spread = average.frames, _spread(average, full_scale)

@@ -303,10 +303,7 @@ class Recorder:
             raise WrongState(why)
 
     def free_minutes(self, folder: Path) -> float:
-        """Time until the disk of a folder is full at the present rate; infinite without frames.
-
-        Slow on a network disk; `OSError` if the disk cannot be asked.
-        """
+        """Time until a folder's disk is full at the present rate; infinite without frames; `OSError` of the disk."""
         with self._changing:
             arrivals_s = [record.made.frame.host_time_s for record in self._recent]
             nbytes = self._recent_bytes

@@ -58,11 +58,7 @@ class Recovered:
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
-    """Finish a recording: set the length of its arrays and mark it complete; list its damage.
-
-    Damaged frames in the middle stay, so that all others keep their index. Lines that leave `frames.jsonl` are kept in
-    `frames.damaged.jsonl`. `InputError` if it is still being recorded.
-    """
+    """Finish a recording: set its lengths, put its lines in place, list its damage; `InputError` if it is on."""
     try:
         recording = Recording(folder)
         folder = recording.folder
@@ -92,10 +88,7 @@ def _locked(recording: Recording) -> Iterator[IO[bytes]]:
 
 
 def _put_in_place(recording: Recording, lines: list[bytes]) -> tuple[int, str]:
-    """Put each line at the place of its index, up to the last whole frame.
-
-    Return the number of frames, and where the original lines are, if they are retained.
-    """
+    """Put lines at the places of their indices; return the number of whole frames, and where the old lines are."""
     by_index = dict[int, bytes]()
     for text in lines:
         if (index := _index_of(text)) is not None:

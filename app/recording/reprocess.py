@@ -39,17 +39,10 @@ BLOCK_FRAMES = 128  # the frames of a block are computed together
 
 
 class Reprocessing:
-    """Reconstructs frames of one recording, each with its own calibration and bias.
-
-    The newest calibration is prepared once for all calls.
-    """
+    """Reconstructs frames of a recording, each with its own bias and calibration, of which one is kept."""
 
     def __init__(self, recording: Recording, change: Change | None = None, *, rounds: int = 0) -> None:
-        """Change each calibration, and refine in at most `rounds`, with a bias of each frame's own.
-
-        If the registration differs, each frame starts from the one before in its block, and no bias is subtracted,
-        because it belongs to the recorded registration.
-        """
+        """Change each calibration, and refine in up to `rounds`; another registration uses no recorded bias."""
         self._recording, self._change, self._rounds = recording, change, rounds
         self._in_force: _InForce | None = None
         self._timings = Timings(1)
@@ -57,10 +50,7 @@ class Reprocessing:
     def __call__(
         self, frames: Sequence[int] | None = None, on_damage: Callable[[int, str], None] | None = None
     ) -> Iterator[Measurement]:
-        """Yield the measurements of frames in increasing order; see `reprocess`.
-
-        With `on_damage`, a damaged frame is left out, and `on_damage` gets its index and the reason.
-        """
+        """Yield measurements of frames as `reprocess`; `on_damage` gets index and reason of each damaged one."""
         recording = self._recording
         chosen = range(len(recording)) if frames is None else frames
         before: Displacement | None = None
@@ -146,11 +136,7 @@ class Reprocessing:
 def reprocess(
     recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
 ) -> Iterator[Measurement]:
-    """Reconstruct recorded frames, by their indices in increasing order, or all; see `Reprocessing`.
-
-    Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
-    `InputError` if a frame or its calibration cannot be read, or does not fit the changed bench.
-    """
+    """Reconstruct recorded frames, also skipped ones, in order; without a calibration they have a problem."""
     return Reprocessing(recording, change)(frames)
 
 

@@ -163,10 +163,7 @@ class RecordingWriter:
         os.fsync(self._lines.fileno())
 
     def finish(self, ended_early: str, *, acquired: int, facts: Mapping[str, Any]) -> None:
-        """Set the length of the arrays and mark the recording complete, with more `facts` for `run.json`.
-
-        Of the `acquired` frames, those beyond the recorded ones could not be written. `RunError` if the folder is gone.
-        """
+        """Set the length of the arrays, complete `run.json` with `facts` and frames `acquired`; `RunError` if gone."""
         lines = self._folder / FRAME_LINES  # if it is not where it was, no empty recording may take its place
         if not lines.exists() or not os.path.samestat(os.fstat(self._lines.fileno()), lines.stat()):
             raise RunError(f"{lines}: was removed or renamed during the recording; svwfs recover finishes it")

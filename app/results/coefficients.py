@@ -59,11 +59,7 @@ class ModeCoefficients:
 
 
 def mode_coefficients(wavefront: Wavefront, choice: ModeChoice) -> ModeCoefficients:
-    """Fit modes to the wavefront at the lenslet centres, of the selected view or of a field mode.
-
-    Legendre modes are fitted over all known lenslets, Zernike modes over those in the circle. With the modes of the
-    reconstruction, the fit returns its coefficients.
-    """
+    """Fit modes to the wavefront, of a view or field mode, at known lenslets, Zernike modes in the circle."""
     sensor, displacement, solution = wavefront.sensor, wavefront.displacement, wavefront.solution
     if choice.field_mode is None:
         (row, column), field = choice.view, wavefront.field

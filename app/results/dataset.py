@@ -124,11 +124,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
 
 
 def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
-    """Return a true wavefront and the light at the lenslets in the form of results.
-
-    `views` has the wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column), `light` the intensity relative
-    to that without the sample.
-    """
+    """Return true wavefronts, rad, and relative light (view_row, view_column, lenslet_row, lenslet_column)."""
     import xarray as xr
 
     variables = {

@@ -82,10 +82,7 @@ def correct(
     iterations: int = MOST_ITERATIONS,
     progress: Progress = lambda *_: None,
 ) -> xr.Dataset:
-    """Correct an image (row, column), counts, with the geometry of a bench; errors call it by its `name`.
-
-    Returns `image`, and `inside`: where it is corrected, with `iterations` and `chi_square` as attributes.
-    """
+    """Correct an image (row, column), counts, of a bench; return `image`, and `inside`, where it is corrected."""
     if bench.imaging is None:
         raise InputError(
             f"{name}: its scale is unknown: give --scale, the size of a pixel in the field in m, or [imaging] pixel_m"
@@ -109,10 +106,7 @@ def correct(
 
 
 def write_corrected(path: Path, found: xr.Dataset, names: dict[str, str]) -> None:
-    """Write a TIFF: the image, and on a second page 255 where it is corrected, else 0.
-
-    The `names` of image and wavefronts are stored with it.
-    """
+    """Write a TIFF of the image, of 255 where it is corrected, and of the `names` of image and wavefronts."""
     chi_square = found.attrs["chi_square"]
     facts = {**names, **found.attrs, "chi_square": chi_square if math.isfinite(chi_square) else None}
     with atomic_write(path) as temporary, tifffile.TiffWriter(temporary) as writer:

@@ -32,10 +32,7 @@ def export_recording(
     *,
     order: ZernikeOrder = "noll",
 ) -> int:
-    """Write frames of a recording, or their results, one after the other; return their number.
-
-    Of a results file only the table `csv` can be written. `order` is that of the format `zernike-table`.
-    """
+    """Write frames, or their results, in a format, results alone as `csv` only; return their number."""
     from app.recording.reader import Recording
     from app.results.export_writers import EXPORT_WRITERS, write_results_csv, write_zernike_table
     from reconstruction.runtime.threads import one_blas_thread

@@ -60,10 +60,7 @@ def views_figure(wavefront: Wavefront) -> Figure:
 def draw_maps(
     figure: SubFigure, maps: Floats, caption: Callable[[int, int], str], colours: tuple[str, Normalize, str]
 ) -> None:
-    """Draw maps (view_row, view_column, row, column), each under the `caption` of its view; NaN is grey.
-
-    `colours` are the name of a colour map, its scale and its title.
-    """
+    """Draw maps (view_row, view_column, row, column) under captions; `colours` are name, scale and title."""
     name, scale, title = colours
     axes = figure.subplots(*maps.shape[:2], squeeze=False)
     captions = {view: caption(*view) for view in np.ndindex(axes.shape)}
@@ -155,10 +152,7 @@ _CENTER = "#d1495b"
 
 
 def lattice_figure(reference: NDArray[Any], found: Survey) -> Figure:
-    """Return the figure: the frame with its cells, the typical lenslet, and each lenslet's displacement.
-
-    The reference is in counts, (row, column).
-    """
+    """Return a figure: reference (row, column), counts, with cells, typical lenslet, and all displacements."""
     lattice, lit = found.lattice, found.illuminated
     figure = Figure(figsize=(13.6, 10.2), layout="constrained")
     grid = figure.add_gridspec(2, 2, width_ratios=[2.35, 1])

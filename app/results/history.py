@@ -24,11 +24,7 @@ def drift(values: Floats) -> tuple[float, float, float]:
 
 
 class LimitWatch:
-    """Tells once when the magnitude of a series crosses its limit, and once when it is back.
-
-    It is back when it has been within for two seconds, so that noise at a limit is one crossing; at once if the limit
-    is another now.
-    """
+    """Tells once when a series crosses its limit, and once when it is back for two seconds or has another limit."""
 
     def __init__(self) -> None:
         self.beyond: dict[str, tuple[float, float]] = {}  # series; when it was last beyond which limit, s

@@ -88,10 +88,7 @@ def layers_of_frame(
     origin: Origin = "lenslets",
     progress: Progress = lambda *_: None,
 ) -> tuple[Bench, xr.Dataset]:
-    """Find layers in one frame, counted from 0, of a recording or a results file; see `find_layers`.
-
-    Distances, given ones included, are measured from the `origin`. Returns the bench, too.
-    """
+    """Find layers in a frame, from 0, of a recording or results, measured from the `origin`; return bench, too."""
     progress("reconstructing the frame", 0.0)
     bench, equations = measured_frame(source, frame)
     ratios = tuple(ratio_at(distance_m, origin, bench) for distance_m in distances_m)
@@ -130,11 +127,7 @@ _AMBIGUOUS = {
 
 
 def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
-    """Ratio r of field to pupil position at which rays meet a layer; `InputError` outside the geometry.
-
-    Distances are positive towards the source. A layer in front of the lenslets has r = -distance / f1, from the mask
-    r = 1 - f1 / distance.
-    """
+    """Ratio r of field to pupil position at a layer: -d / f1, from the mask 1 - f1 / d; `InputError` far off."""
     nearest_m, farthest_m = distance_range_m(origin, bench)
     if not nearest_m <= distance_m <= farthest_m:
         raise InputError(
@@ -173,10 +166,7 @@ def distance_range_m(origin: Origin, bench: Bench) -> tuple[float, float]:
 
 
 def shown_range_m(found_m: Floats, tried_m: Floats, origin: Origin) -> tuple[float, float]:
-    """Ends of a distance axis: all of the bench from the mask, else around the layers found.
-
-    `found_m` are the distances of the found layers (layer,), `tried_m` those tried (candidate,).
-    """
+    """Ends of a distance axis: from the mask all that was tried (candidate,), else around those found (layer,)."""
     tried_m = tried_m[np.isfinite(tried_m)]
     if origin == "mask":
         return 0.0, float(tried_m.max())
@@ -201,10 +191,7 @@ def layer_maps(
     values: Callable[[Layer, Floats, Floats], Floats],
     points: int = MAP_POINTS,
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions x and y on the layers, m, and values there, (layer, y, x): `Layer.phase` or `Layer.sigma`.
-
-    In the collimated beam the positions are those of the pupil, near the mask smaller.
-    """
+    """Positions x and y, m, and values (layer, y, x), `Layer.phase` or `Layer.sigma`; near the mask smaller."""
     scales = [1 / (1 - layer.ratio) if origin == "mask" else 1.0 for layer in layers]
     reach_m = np.max([layer.half_width_m * scale for layer, scale in zip(layers, scales, strict=True)], axis=0)
     x_m, y_m = (np.linspace(-most, most, points) for most in reach_m)
@@ -213,10 +200,7 @@ def layer_maps(
 
 
 def centred(phase: Floats) -> tuple[Floats, float]:
-    """Phase (y, x) about the middle of its range, and half the range; its constant means nothing.
-
-    One percent of the values lie beyond either end, so that a corner does not make the map pale.
-    """
+    """Phase (y, x) about the middle of its range, and half the range, but for one percent at either end."""
     low, high = np.nanpercentile(phase, (1, 99))
     return phase - (low + high) / 2, float(high - low) / 2
 

@@ -103,10 +103,7 @@ class OpenedRecording:
 
     @cached_property
     def frames(self) -> xr.DataArray:
-        """Frames in counts, (frame, row, column), with the coordinates `frame_index` and `time` (s).
-
-        A frame is read from disk when its values are used: `recording.frames[10].values`.
-        """
+        """Frames in counts, (frame, row, column), read as they are used, with `frame_index` and `time` (s)."""
         lines = [self._recording.line(index) for index in range(len(self))]
         pixels = indexing.LazilyIndexedArray(_Pixels(self._recording))
         return xr.DataArray(

@@ -16,10 +16,7 @@ Pixels: TypeAlias = NDArray[np.uint32]  # 0xAARRGGBB; 0 is transparent
 
 
 def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixels:
-    """Enlarge each map (view_row, view_column, row, column), by linear interpolation if smooth.
-
-    Qt would do it in threads of its own, and keep Python's lock until they end.
-    """
+    """Enlarge each map (view_row, view_column, row, column), linearly if smooth: Qt would keep Python's lock."""
     maps = np.ascontiguousarray(maps)
     found = np.empty((*maps.shape[:2], rows, columns), np.uint32)
     how = cv2.INTER_LINEAR if is_smooth else cv2.INTER_NEAREST_EXACT
@@ -30,10 +27,7 @@ def enlarged(maps: Pixels, rows: int, columns: int, *, is_smooth: bool) -> Pixel
 
 
 def contours(values: Floats, limit: float) -> list[Floats]:
-    """Return contours (point, xy) in columns and rows of a map; none around unknown values.
-
-    Levels are multiples of 1, 2 or 5 times a power of ten; at most 16 steps lie between -limit and +limit.
-    """
+    """Return contours (point, xy), in columns and rows of a map, at up to 16 round levels; none near unknowns."""
     if min(values.shape) < 2 or not limit > 0:
         return []
     step = contour_step(limit)

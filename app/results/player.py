@@ -37,10 +37,7 @@ class Overview:
     faults: dict[int, tuple[Fault, str]]  # kind and reason of each frame that has one
 
     def course(self, points: int) -> tuple[Floats, Floats, Floats]:
-        """Return the times of at most so many points, and number of lenslets and RMS there, each of its largest.
-
-        A point has the fewest lenslets and the largest RMS of the frames that it stands for, NaN without a wavefront.
-        """
+        """Return times, and fewest valid lenslets and largest RMS there, each over its most, of that many points."""
         first = np.arange(0, len(self.time_s), -(-len(self.time_s) // points))
         time_s, valid = self.time_s[first], np.fmin.reduceat(self.valid, first)
         rms_rad, longest_s = np.fmax.reduceat(self.rms_rad, first), max(float(self.time_s[-1]), 1e-9)
@@ -107,10 +104,7 @@ class Player:
         return (used, acquisition.set_light_on(True), acquisition.set_sample_in(True), acquisition.set_running(True))
 
     def take(self, measurement: Measurement) -> None:
-        """Between two frames, set the calibration of the next if it is another.
-
-        The camera holds that frame back until then, because a slow computer might read it before.
-        """
+        """Between two frames, set the next frame's calibration, for which the camera waits, if it is another."""
         if self._camera is None or self._acquisition is None:
             return
         self.position = self.frames.index(self._camera.line.index)

@@ -117,10 +117,7 @@ def _difference(recording: Recording, line: FrameLine, frame: Measurement) -> tu
 
 
 class Comparison:
-    """RMS of wavefronts with the recorded bench, with another, and of their difference.
-
-    `means_rad` (3, view_row, view_column) are means over the frames that have a wavefront with both.
-    """
+    """RMS with the recorded bench, another, and of their difference; means (3, view_row, view_column), rad."""
 
     def __init__(self) -> None:
         self.frames = 0

@@ -43,10 +43,7 @@ _LONGEST_TITLE = 55  # characters
 def _page(
     title: str, sentence: str, shares: Sequence[float], head: float = _TITLE_INCHES
 ) -> tuple[Figure, list[SubFigure]]:
-    """Make a page of a head of this height, inches, with title and sentence, shares of the rest, and a margin.
-
-    Returns the page, and its head and shares.
-    """
+    """Return a page, and its head of a height, inches, with title and sentence, and shares of the rest."""
     figure = Figure(figsize=_PAGE_INCHES, layout=ConstrainedLayoutEngine(w_pad=0.15, h_pad=0.08))  # inches
     heights = [head, *(share * (_PAGE_INCHES[1] - head) for share in shares), _FOOT_INCHES]
     top, *others, _ = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
@@ -86,10 +83,7 @@ def overview_page(summary: Summary) -> Figure:
 def _draw_views(
     figure: SubFigure, views: Floats, field: Field, *, title: str, limit: float = 0.0, with_places: bool = True
 ) -> None:
-    """Draw the views with RMS and PV, on a scale of +-`limit` rad, or up to the largest value.
-
-    `views` are in rad, (view_row, view_column, lenslet_row, lenslet_column).
-    """
+    """Draw views (view_row, view_column, ...), rad, with RMS and PV up to `limit`, or up to the most."""
     # at most five evenly spaced views along an axis, from edge to edge
     rows, columns = (sorted({round(at) for at in np.linspace(0, n - 1, min(n, _MOST_VIEWS))}) for n in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
@@ -233,10 +227,7 @@ def write_report(
     settings: tuple[str, ...] = (),
     progress: Progress = lambda *_: None,
 ) -> Summary:
-    """Write the report of a recording as PDF, or as PNG with one page below the other; return what is in it.
-
-    `frames` are some of its frames, reconstructed with changed `settings`.
-    """
+    """Write the report of a recording, or of `frames`, perhaps with other `settings`; return what is in it."""
     reconstructing = between(progress, 0, _RECONSTRUCTED)
     summary = summarise(Recording(folder), frames, reconstructing, change=change_of(None, settings))
     progress("drawing the pages", _RECONSTRUCTED)

@@ -90,10 +90,7 @@ def write_results(path: Path, dataset: xr.Dataset, *, bench: Bench, inputs: Mapp
 
 
 def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inputs: Mapping[str, str]) -> None:
-    """Write results of many frames as `write_results` does, two pieces in memory at a time.
-
-    `InputError` if a piece has another shape than the first, because the settings changed between them.
-    """
+    """Write results of frames, two pieces in memory at a time; `InputError` if their settings changed."""
     import xarray as xr
 
     is_first = True
@@ -112,10 +109,7 @@ def write_pieces(path: Path, pieces: Iterable[xr.Dataset], *, bench: Bench, inpu
 
 
 def _netcdf(piece: xr.Dataset, bench: Bench, inputs: Mapping[str, str], *, grows: bool) -> memoryview:
-    """Return the contents of a file. HDF5 crashes on a full disk, so it writes into memory.
-
-    Only a file that `grows` has an unlimited dimension: h5netcdf opens such a file six times slower.
-    """
+    """Return a file's contents, made in memory as HDF5 crashes on a full disk; one that `grows` opens slowly."""
     origin = {"software": f"svwfs {version('svwfs')}", "bench": write_bench(bench), **inputs}
     piece = with_mode_names(piece, bench)
     if bench.linearity is not None:

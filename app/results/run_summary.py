@@ -160,10 +160,7 @@ class Measured(FrameTally):
 
 
 def write_measured(recording: Recording, bench: Bench, progress: Progress) -> Measured:
-    """Write `results.nc`, `dark.tif` and `reference.tif` into a recording's folder.
-
-    Every frame is reconstructed, also those that were skipped live; without any wavefront there is no `results.nc`.
-    """
+    """Write `results.nc` of all frames, `dark.tif` and `reference.tif` into a recording's folder."""
     shape = bench.field.view_rows, bench.field.view_columns
     measured = Measured(bench=bench, means=np.zeros((3, *shape)))
     if len(recording) and (number := recording.line(0).calibration) is not None:

@@ -48,19 +48,13 @@ class StoredWavefront:
 
     @classmethod
     def of(cls, wavefront: Wavefront, name: str, mean: Floats | None = None) -> Self:
-        """Store the wavefront of one frame, or a mean that ends with it, by field mode.
-
-        The mean is in rad, (field_mode, lenslet_row, lenslet_column).
-        """
+        """Store a frame's wavefront, or a mean that ends with it, rad, (field_mode, lenslet_row, lenslet_column)."""
         by_mode = _by_mode(wavefront) if mean is None else mean
         return cls(name, wavefront.field, wavefront.displacement.modes, by_mode)
 
     @classmethod
     def from_results(cls, path: Path, sensor: Sensor | None = None) -> Self:
-        """Read the modal wavefront of a file of results, the mean of its frames.
-
-        `InputError` if it holds none, or not for this `sensor`.
-        """
+        """Read the mean modal wavefront of results; `InputError` if there is none, or none for this `sensor`."""
         bench = read_bench_of(path)
         coefficients, views = mean_of_frames(path)
         if not coefficients.size:
@@ -75,10 +69,7 @@ class StoredWavefront:
         return cls(path.name, bench.field, modes, without_piston(by_mode))
 
     def at(self, field: Field) -> Floats:
-        """Return the wavefronts at the views of a field; NaN outside the stored one.
-
-        They are in rad, (view_row, view_column, lenslet_row, lenslet_column).
-        """
+        """Return it at a field's views, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside."""
         x, y = (view_m / self.field.half_width_m for view_m in (field.view_x_m, field.view_y_m[:, None]))
         views = np.tensordot(np.moveaxis(self.modes.values(x, y), 0, -1), self.by_mode, axes=1)
         views[~self.field.contains(x, y)] = np.nan

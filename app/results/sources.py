@@ -56,10 +56,7 @@ def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
 
 
 def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
-    """Return bench, variables `names` and, of a modal result, coefficients of one frame, from 0, of a results file.
-
-    Raises `InputError` if there is no such frame or variable, or no measurement can have given the coefficients.
-    """
+    """Return bench, variables and modal coefficients of a frame, from 0, of a results file; `InputError` if bad."""
     with reading_results(path) as opened:
         if "displacement" not in opened:
             raise InputError(f"{path}: {_NOT_MEASURED}")
@@ -140,10 +137,7 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
 
 
 def modes_at_views(bench: Bench, coefficients: Floats, views: Floats) -> tuple[PupilModes, PolynomialModes] | None:
-    """Return the modes of coefficients e_pq if these are the wavefronts of the views, rad.
-
-    None for those of stars, of other bases, and of a wavefront from which modes were removed.
-    """
+    """Return the modes of the views' coefficients e_pq; None for stars, other bases and removed modes."""
     try:
         pupil, modes = modes_of(bench, coefficients)
     except ReconstructionError:  # an own basis
@@ -166,12 +160,7 @@ _Frame = tuple[Floats, Floats]  # e_pq (pupil_mode, field_mode), empty without a
 
 
 def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Progress) -> PhaseAt:
-    """Return the mean wavefront of the frames FIRST:END of results or of a recording.
-
-    Modal results hold it for every position of the field. Others are interpolated between their views, by splines of
-    the third degree if there are at least four along a side. `InputError` if the source cannot be read, or has neither
-    coefficients nor several views.
-    """
+    """Return the mean wavefront of frames at any field position, modal or interpolated between views."""
     coefficients, views = mean_of_frames(source, frames, progress)
     if coefficients.size and modes_at_views(bench, coefficients, views) is not None:
         return _of_modes(bench, coefficients, views)
@@ -181,10 +170,7 @@ def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Pro
 def mean_of_frames(
     source: Path, frames: str | None = None, progress: Progress = lambda *_: None, change: Change | None = None
 ) -> _Frame:
-    """Return the mean of frames; `InputError` if they do not go together, or there are none.
-
-    A recording may be reconstructed with a changed calibration.
-    """
+    """Return the mean of frames, of a recording also after a change; `InputError` if they do not go together."""
     if change is not None and not source.is_dir():
         raise InputError(f"{source}: settings can be changed for recordings alone, which are reconstructed again")
     read = partial(_recorded_frames, change=change) if source.is_dir() else _stored_frames
@@ -278,10 +264,7 @@ _ROUNDING = 1e-6  # singular value over the largest, below which displacements a
 
 
 def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
-    """Return bench and equations of one frame, counted from 0, of a recording or a results file.
-
-    Raises `InputError` if there is no such frame, `ReconstructionError` if it cannot tell of layers.
-    """
+    """Return bench and equations of a frame, from 0, of a recording or results; raise if it tells of no layers."""
     if source.is_dir():
         calibration, wavefront = recorded_frame(source, frame)
         return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)

@@ -172,10 +172,7 @@ class QuantityMaps:
 def quantity_maps(
     wavefront: Wavefront, quantity: Quantity, settings: ReconstructionSettings, reach_rad: float | None = None
 ) -> QuantityMaps | None:
-    """Compute maps with their numbers, a PSF up to `reach_rad`, or as far as there is light.
-
-    `settings` reconstructed the wavefront. None for a PSF without any light.
-    """
+    """Compute maps with numbers, a PSF up to `reach_rad` or the light's; None for a PSF without any light."""
     found = _maps(wavefront, quantity, settings, reach_rad)
     return None if found is None else replace(found, numbers=view_numbers(quantity, found.values))
 

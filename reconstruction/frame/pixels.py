@@ -53,11 +53,7 @@ class DarkSubtractor:
         self._subtracted(compiled_counts(np.zeros(shape, np.uint16)))  # compile now instead of at the first frame
 
     def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:
-        """Light of an image (row, column), counts, and its saturated pixels, the same shape.
-
-        `ReconstructionError`, which says `name`, if the image has another size, no grey or infinite values, or many
-        saturated pixels.
-        """
+        """Light and saturated pixels of an image (row, column), counts; `ReconstructionError` if it is unusable."""
         self._check(image, name)
         light, saturated, full = self._subtracted(_finite(image, name))
         require_unsaturated(full, image.size, name)

@@ -44,10 +44,7 @@ def spline_coefficients(image: NDArray[np.uint16] | Image) -> Image:
 
 
 def shared_coefficients(image: NDArray[np.uint16] | Image) -> tuple[Image, Callable[[], None]]:
-    """Coefficients of an image (row, column) to be computed, and the work, which threads may share.
-
-    After the call of one thread returns, all coefficients are computed.
-    """
+    """Coefficients of an image (row, column), all there once one of the threads that share the work returns."""
     light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     coefficients, counters = np.empty(light.shape, np.float32), new_counters()
     rows, columns = light.shape
@@ -151,10 +148,7 @@ def _interpolate_evenly(coefficients: Image, start_px: Floats, steps_px: Floats,
 
 
 def noise_power(position_px: Floats) -> Floats:
-    """Variance of interpolated white noise over that of a pixel, at positions (..., xy): (...).
-
-    It is 1 on a pixel and 0.76 halfway between two, because interpolation averages.
-    """
+    """Variance of interpolated white noise over a pixel's, at positions (..., xy): 1 on one, 0.76 between two."""
     fraction, power = _noise_power_table()
     along = np.interp(np.mod(position_px, 1.0), fraction, power)
     return np.asarray(along[..., 0] * along[..., 1])
@@ -259,10 +253,7 @@ _WAVES = 256  # spatial frequencies that are averaged
 
 
 def mean_interpolation(pixels: int) -> tuple[Floats, Floats]:
-    """Values and slopes of lines interpolated at random pixel fractions: matrices (pixel, pixel).
-
-    Beyond its ends a line is dark.
-    """
+    """Values and slopes of lines, dark beyond, at random pixel fractions: matrices (pixel, pixel)."""
     cycles_per_px = (np.arange(_WAVES) + 0.5) / (2 * _WAVES)
     transfer = np.sinc(cycles_per_px) ** 4 / ((2 + np.cos(2 * np.pi * cycles_per_px)) / 3)
     angle = 2 * np.pi * cycles_per_px * np.arange(pixels)[:, None]

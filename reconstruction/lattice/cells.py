@@ -54,10 +54,7 @@ class Cells:
 
 
 def cell_index(lattice: Lattice, shape: tuple[int, int], *, only_partial: bool = False) -> NDArray[np.intp]:
-    """Cells, (column, row) from the centre, that lie entirely on a frame of that shape: (N, xy).
-
-    With `only_partial`, those that lie on it only in part.
-    """
+    """Cells, (column, row) from the centre, on a frame of that shape, entirely or `only_partial`: (N, xy)."""
     last = np.array(shape[::-1]) - 1
     outline_px = np.array([[0, 0], [last[0], 0], [0, last[1]], last], np.float64)
     reach = np.abs(lattice.in_pitches(outline_px)).max(axis=0) / [1.0, lattice.row_spacing]
@@ -104,10 +101,7 @@ class CellMatch:
 
 
 def match_cells(cells: Cells, *, brightest: int) -> CellMatch:
-    """Compare every cell with the typical one, the median of the lit cells scaled to equal brightness.
-
-    A cell is lit if it has a tenth of the light of the `brightest`-th cell, and significantly more than noise.
-    """
+    """Compare each cell with the median of the lit: a tenth of the `brightest`-th's light, and beyond noise."""
     light = cells.light - cells.light.mean(axis=(1, 2), keepdims=True, dtype=np.float32)
     flat = light.reshape(len(light), -1)
     typical = flat.mean(axis=0)

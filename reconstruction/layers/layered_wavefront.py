@@ -38,10 +38,7 @@ _NEGLIGIBLE_RAD = 1e-20  # denormal numbers take fifty times as long as others o
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssumedSample:
-    """Assumed sample: layers at some ratios of field to pupil position, or none: any wavefront.
-
-    Three layers are a slab: one with depth, between the outer two.
-    """
+    """Assumed sample: layers at some ratios of field to pupil position, three for a slab, none for any wavefront."""
 
     ratios: tuple[float, ...] = ()
     covariance: Floats | None = None  # of the ratios, (layer, layer); None if they are known
@@ -127,11 +124,7 @@ class _Fit(NamedTuple):
 
 
 class LayeredWavefronts:
-    """Wavefronts of layers fitted to the displacements measured against one reference.
-
-    What depends on the layers' ratios and on the lenslets in use is prepared once, so that a frame costs two
-    matrix-vector products.
-    """
+    """Wavefronts of layers fitted to displacements of a reference, by two matrices that are prepared once."""
 
     def __init__(self, solver: LayerSolver, modes: LayerModes, parameters: Floats) -> None:
         """`parameters` (K, 2Q): displacement (x modes, y modes) of each parameter of the warp."""
@@ -144,10 +137,7 @@ class LayeredWavefronts:
     def __call__(
         self, displacement: Displacement, weights: Floats | None, sample: AssumedSample, *, is_corrected: bool = False
     ) -> ModalSolution:
-        """Fit layers at the ratios of the sample to displacements, which may be corrected for the registration's bias.
-
-        Raises `ReconstructionError` if too few lenslets are valid.
-        """
+        """Fit layers at the sample's ratios to displacements; `ReconstructionError` if too few lenslets are valid."""
         errors, columns = self.solver.errors, self._modes.columns
         frame = errors.whitened(displacement, weights)
         require_lenslets(frame)
@@ -202,10 +192,7 @@ class LayeredWavefronts:
         return _Fit(design, equations, estimate, values, design.wavefronts @ values.astype(np.float32))
 
     def _rows(self, ratios: tuple[float, ...]) -> Floats:
-        """Whitened displacements of each polynomial in units of the prior, (L * K, k).
-
-        In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.
-        """
+        """Whitened displacements of each polynomial in units of the prior, (L * K, k), in double precision."""
         degree = self.solver.degree
         rows = np.concatenate([self.solver.rows(ratio, degree) * prior_scale(degree) for ratio in ratios], axis=2)
         return rows.reshape(-1, rows.shape[2])
@@ -238,10 +225,7 @@ class LayeredWavefronts:
         return _Equations(singular, vectors, Spread(components, known))
 
     def _shift_sigmas(self, sample: AssumedSample, frame: Whitened, fit: _Fit) -> float:
-        """Shift of the layers that would explain the rest of the displacements best, in standard errors.
-
-        The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
-        """
+        """Shift of the layers, in standard errors by their ratios and this frame, that best explains the rest."""
         columns, polynomials, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
         (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
         low = len(own) // len(alone)  # of each layer

@@ -94,10 +94,7 @@ def gradient_basis(modes: PolynomialModes) -> Floats:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SampledModes:
-    """Lagrange polynomials of a grid, row by row: c_q is the displacement at node q.
-
-    The nodes lie at all combinations of x and y.
-    """
+    """Lagrange polynomials of a grid of all x and y, row by row: c_q is the displacement at node q."""
 
     x: Floats  # normalised, (column,)
     y: Floats  # normalised, (row,)

@@ -49,11 +49,7 @@ class Basis:
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    """Modes of one of the `BASES`, piston first.
-
-    Without a `count`, all modes of a degree below the number of lenslets a side, and at most 16. `ReconstructionError`
-    if there is no such basis.
-    """
+    """The first `count` modes of one of the `BASES`, piston first, or up to 16 degrees as lenslets allow."""
     if basis not in BASES:
         raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
@@ -86,10 +82,7 @@ BASES: dict[PupilBasis, Basis] = {
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
-    """Positions, in pitches, (node, xy), and weights, (node,), of a mean over a lenslet's aperture.
-
-    Gauss-Legendre rules, exact up to degree 16 of a gradient's mode.
-    """
+    """Positions, in pitches, (node, xy), and weights of a mean over an aperture, exact for a gradient's mode."""
     nodes, weights = series.leggauss(_HIGHEST_DEGREE // 2 + 1)
     if arrangement == "square":
         x, y = (grid.ravel() / 2 for grid in np.meshgrid(nodes, nodes))

@@ -19,10 +19,7 @@ _ACROSS = 7  # positions across the field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureCurve:
-    """RMS difference of the wavefronts of all pairs of positions, binned by separation.
-
-    Wavefronts have no piston. A bin is NaN if none of its pairs is known.
-    """
+    """RMS difference of wavefronts without piston of all pairs of positions, by separation; NaN if unknown."""
 
     separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
     rms_rad: Floats  # root mean square over the pairs in the bin, (separation,)
@@ -31,10 +28,7 @@ class StructureCurve:
 
     @property
     def patch_m(self) -> float:
-        """Separation at which the RMS difference first reaches 1 rad, linearly interpolated from (0, 0) on.
-
-        Infinite if it does not within the field, NaN if nothing is known.
-        """
+        """Separation of 1 rad RMS difference, from (0, 0) on; infinite beyond the field, NaN if nothing is known."""
         known = np.isfinite(self.rms_rad)
         if not known.any():
             return float("nan")
@@ -83,11 +77,7 @@ def field_cell_middles_m(field: Field, across: int) -> Floats:
 
 
 def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> StructureCurve:
-    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad.
-
-    `position_m` is (position, xy). Bins are `bin_m` wide, centred on multiples of it. A pair is compared over the
-    lenslets known in both.
-    """
+    """Compare pairs of wavefronts (position, lenslet_row, lenslet_column), rad, in bins of their separation."""
     first, second = np.triu_indices(len(phase), 1)
     difference_rad = _differences(without_piston(phase).reshape(len(phase), -1))[first, second]
     separation_m = np.hypot(*(position_m[first] - position_m[second]).T)
@@ -119,10 +109,7 @@ def _differences(phase: Floats) -> Floats:
 
 
 def global_error_rad(phase: Floats) -> float:
-    """RMS difference of wavefronts (position, lenslet_row, lenslet_column), rad, from their mean.
-
-    NaN if no lenslet is known in all of them.
-    """
+    """RMS difference of wavefronts (position, lenslet_row, lenslet_column), rad, from their mean; NaN if unknown."""
     return _root_mean_square(rms(phase - np.mean(phase, axis=0)))
 
 

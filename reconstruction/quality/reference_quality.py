@@ -115,11 +115,7 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
 
 def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Sensor) -> int:
-    """Number of lenslets lit in another lattice beyond those lit in this one.
-
-    `light` is (row, column), counts. Off by a whole pitch, a lattice fits as well as before, but its last row lies in
-    the dark.
-    """
+    """Number of lenslets lit in another lattice beyond this one, as one whose last row lies in the dark."""
     here, there = (_contrast(light, each, sensor) for each in (lattice, shown))
     least = _DARK * np.median(there)
     return int(np.count_nonzero(there > least) - np.count_nonzero(here > least))
@@ -142,10 +138,7 @@ def _contrast(light: Floats, lattice: Lattice, sensor: Sensor, samples: int = _S
 
 
 def leaked_light(dark: Floats, light: Floats) -> float:
-    """Share of the reference's light in the dark, by regression; 1 if the dark is brighter.
-
-    Both are (row, column), counts; `light` is the reference minus the dark.
-    """
+    """Share of the reference's light (row, column) in the dark, by regression; 1 if the dark is brighter."""
     away = light - light.mean()
     square = float(np.vdot(away, away))
     if light.mean() <= 0 or square == 0:
@@ -182,10 +175,7 @@ def shared_deformation_px(reference: ReferenceSubimages) -> float:
 
 
 def _shared_square(deformations: Floats) -> float:
-    """Median product of neighbours' deformations (lenslet_row, lenslet_column, n), px^2, less chance.
-
-    A median ignores lenslets at the edge of the light.
-    """
+    """Median product of neighbours' deformations (lenslet_row, lenslet_column, n), px^2, less chance."""
     neighbours = ((deformations[:-1], deformations[1:]), (deformations[:, :-1], deformations[:, 1:]))
     products = np.concatenate([np.sum(one * other, axis=-1).ravel() for one, other in neighbours])
     known = products[np.isfinite(products)]

@@ -110,10 +110,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
 
 
 def _hidden(covariance: Floats) -> Floats:
-    """Variance of displacements left out because the source hides them, (L, 2Q, 2Q).
-
-    `covariance` (L, 2Q, 2Q) is zero there; what the source hides is uncertain.
-    """
+    """Variance of displacements hidden by the source, (L, 2Q, 2Q), for which the `covariance` has zero."""
     total = np.einsum("lkk->l", covariance)
     values, vectors = np.linalg.eigh(np.mean(covariance / total[:, None, None], axis=0))
     left_out = vectors[:, values < _NOTHING]

@@ -33,10 +33,7 @@ class LensletModel(Protocol):
     position: Floats  # of the object points, normalised, (point, xy)
 
     def image(self, brightness: Floats | float = 1.0) -> Floats:
-        """Image without a sample, (row, column), a share of the lenslet's light.
-
-        The light of the object points is multiplied by `brightness`, (point,) or the same for all.
-        """
+        """Image without a sample, (row, column), a share of the lenslet's light, of points times `brightness`."""
         ...
 
     def derivatives(self, degree: int, values: Floats, gradients: Floats, own: tuple[int, int] | None = None) -> Floats:
@@ -190,10 +187,7 @@ class ReferenceSubimages:
         return np.asarray(np.any(np.all(np.abs(away_px) < near_px, axis=-1), axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
-        """Share (L,) of the dynamic range used: displacement of the field's edge over the largest allowed.
-
-        `displacement` (L, xy, Q) in the field modes, px.
-        """
+        """Share (L,) of the range that the displacement (L, xy, Q), px, of the field's edge uses."""
         if modes not in self._at_outline:
             self._at_outline[modes] = modes.values(*self._field_outline.T)
         moved_px = displacement.reshape(-1, modes.count) @ self._at_outline[modes]  # one product is faster than L
@@ -212,10 +206,7 @@ class ReferenceSubimages:
         return np.asarray(self.bad | rim)
 
     def _usable(self, is_cut: Booleans) -> Booleans:
-        """True for window positions without a bad pixel among the four around them, (L, N).
-
-        Of lenslets that the frame cuts, (L,), also inside the frame's rim.
-        """
+        """True for window positions (L, N) with no bad pixel around them, (L,) of cut lenslets inside the rim."""
         usable = np.ones(self.position_px.shape[:2], np.bool_)
         usable[is_cut] = self._is_on_frame(self.position_px[is_cut], _RIM_PX)
         if self.bad.any():

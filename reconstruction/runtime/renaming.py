@@ -8,10 +8,7 @@ _HELD_S = 2.0
 
 
 def rename(source: Path, target: Path) -> None:
-    """Rename a file, which replaces `target`, or a folder.
-
-    On Windows a program that looks at a new file, such as a virus scanner, prevents this: tried again for two seconds.
-    """
+    """Rename a file or folder; for two seconds again on Windows, where a virus scanner may prevent it."""
     until_s = time.monotonic() + _HELD_S
     while True:
         try:

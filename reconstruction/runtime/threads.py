@@ -48,10 +48,7 @@ if hasattr(os, "register_at_fork"):  # a forked process inherits the pools, but 
 
 
 def name_threads() -> None:
-    """Give Linux the names of this process's threads, for `svwfs benchmark --live` and `top -H`.
-
-    Python does so itself from version 3.14 on.
-    """
+    """Name threads for `svwfs benchmark --live` and `top -H` on Linux; Python itself does so from 3.14 on."""
     for thread in threading.enumerate():
         with suppress(OSError):
             Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:_LETTERS])

@@ -11,10 +11,7 @@ from reconstruction.geometry import Lattice, Sensor
 
 
 class PixelGrid:
-    """Lenslet of each pixel and position of the pixel behind it; prepared once.
-
-    A pixel belongs to the lenslet whose cell contains its centre; pixels outside the lattice stay dark.
-    """
+    """Each pixel's position behind the lenslet whose cell holds its centre; pixels outside stay dark."""
 
     def __init__(
         self,
@@ -63,10 +60,7 @@ class PixelGrid:
     def evaluate(
         self, waves: Image, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]] = map
     ) -> Image:
-        """Images of object points, (point, row, column), from their `waves`, (lenslet, point, y wave, x wave).
-
-        A single lenslet is used for all. `run` maps a function over lenslets, in parallel if wanted.
-        """
+        """Images (point, row, column) from `waves` (lenslet, point, y wave, x wave), one lenslet for all if alone."""
         images = np.zeros((waves.shape[1], self._shape[0] * self._shape[1]), np.float32)
         bounds = list(pairwise([0, *self._ends]))
 

@@ -20,10 +20,7 @@ _BLOCK_POINTS = 16  # 14 MB of a 465 x 465 camera, and enough rows for an effici
 
 
 def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: PointField | None = None) -> None:
-    """Write the matrix of `model` behind `field` (None: the reference) for points (point, xy).
-
-    The file `path`, which may not exist, appears when it is complete.
-    """
+    """Write the matrix of `model` behind `field` (None: the reference) for points (point, xy) to a new file."""
     require({f"{path} exists: delete it, or choose another name": not path.exists()})
     part = path.with_name(f".{path.name}.part")
     header = {"descr": "<f4", "fortran_order": False, "shape": (len(position_m), *model.camera_shape)}
@@ -38,10 +35,7 @@ def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: Poi
 
 
 def multiply(path: Path, area_m2: Floats) -> NDArray[np.float32]:
-    """Irradiance (row, column), m^2, of an object with that emitting area (m^2) at each point of a written matrix.
-
-    Equals `ForwardModel.irradiance` of these points to rounding; `SourcePoints.area_m2` is such an object.
-    """
+    """Irradiance (row, column), m^2, of an emitting area (m^2) at each point of a matrix, as `ForwardModel`'s."""
     matrix = np.load(path, mmap_mode="r")
     points = f"an object must be one emitting area for each of the {len(matrix)} points"
     require({points: area_m2.shape == (len(matrix),)})

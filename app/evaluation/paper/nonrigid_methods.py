@@ -161,10 +161,7 @@ class BlockFlow(_NonRigid):
         return correlation
 
     def _prepare_plate(self) -> tuple[Floats, Floats]:
-        """Structure tensors and the plate that fills in shifts.
-
-        They are (L, block_row, block_column, xy, xy) and (L, shifts, shifts).
-        """
+        """Tensors (L, block_row, block_column, xy, xy), and the plate that fills in shifts, (L, shifts, shifts)."""
         gradient = self._reference.gradient.reshape(-1, self._reference.width, self._reference.width, 2)
         along_x, along_y = (self._blocks(gradient[..., axis]) for axis in (0, 1))
         tensor = np.empty((*along_x.shape[:3], 2, 2))
@@ -224,10 +221,7 @@ class _Deformable(_NonRigid):
 
     @abstractmethod
     def _field(self, reference: Any, subimage: Any, start: Any) -> Any:
-        """Displacement field d of two ITK images, from the affine map `start`.
-
-        With it reference(x) ~ subimage(x + d(x)).
-        """
+        """Field d of two ITK images from the affine map `start`, reference(x) ~ subimage(x + d(x))."""
 
 
 class Demons(_Deformable):

@@ -313,10 +313,7 @@ class GaussNewton:
         start: Displacement | None,
         filter_share: Callable[[], None],
     ) -> Fits:
-        """Fit all lenslets, shared among threads, to a frame given by its spline coefficients.
-
-        `filter_share` computes these, in the same threads: handing over twice would take longer than it saves.
-        """
+        """Fit all lenslets in threads that first compute the spline coefficients of the frame by `filter_share`."""
         reference, grid = self.reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(
