@@ -161,14 +161,10 @@ class HeadlessRun:
             self._progress(text, fraction())
             yield
 
-    def stage_times(self) -> Generator[None, None, dict[TimedStage, StageTimes]]:
+    def stage_times(self) -> dict[TimedStage, StageTimes]:
         """Return the times of the instrument's stages, and of those of this process."""
-        asked = self.acquisition.stage_times()
-        while not asked.done():
-            self._check()
-            yield
-        here = self.acquisition.timings.summary()
-        return asked.result() | {stage: times for stage, times in here.items() if times.count}
+        there, here = self.acquisition.stage_times().result(), self.acquisition.timings.summary()
+        return there | {stage: times for stage, times in here.items() if times.count}
 
     def _check(self) -> None:
         errors = (self.acquisition.error, *(step.exception() for step in self._expected if step.done()))

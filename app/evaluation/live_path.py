@@ -175,14 +175,14 @@ def measure_span(
 
     yield from wait(first_s + warm_up_s, "warming up")
     name_threads()
-    stages = yield from run.stage_times()
+    stages = run.stage_times()
     start_s, before, taken_s = time.perf_counter(), acquisition.counts, processor_time.processor_times()
     end_s = start_s + seconds
     yield from wait(end_s - memory_s(seconds), "measuring")
     memory_mb = processor_time.memory_mb()
     yield from wait(end_s, "measuring")
     ended_s, after = time.perf_counter(), acquisition.counts
-    times = yield from run.stage_times()
+    times = run.stage_times()
     span = Span(
         first_wavefront_s=first_s - began_s,
         seconds=ended_s - start_s,

@@ -156,4 +156,4 @@ def headless_steps(
     window.update_text()
     if screenshot is not None:
         write_picture(screenshot, window.grab())
-    on_finish(run.acquisition, shown[0], (yield from run.stage_times()))
+    on_finish(run.acquisition, shown[0], run.stage_times())

@@ -123,7 +123,8 @@ class SettingsDialog(QDialog):
             for field in section.fields:
                 editor = self._editor(field)
                 editor.setAccessibleName(field.label)
-                editor.setToolTip(f"<p>{_in_names(field.help or field.label)}</p>")
+                tip = re.sub(r"\b\w*_\w*\b", lambda key: NAMES.get(key[0], key[0]), field.help or field.label)
+                editor.setToolTip(f"<p>{tip}</p>")
                 self.editors[field.path] = (field, editor)
                 layout.addRow(f"{field.label} ({field.unit})" if field.unit else field.label, editor)
             self.pages.addWidget(Scrolled(inner))
@@ -236,8 +237,3 @@ def _discover() -> tuple[list[DiscoveredDevice], list[str]]:
         failed += [f"{kind.heading}, not searched: {missing}"] if missing else []
         failed += [f"{one.name} cannot be used yet: {one.missing}" for one in devices if one.missing]
     return found, failed
-
-
-def _in_names(text: str) -> str:
-    """Return a text with the names of people in place of those of a bench file."""
-    return re.sub(r"\b\w*_\w*\b", lambda word: NAMES.get(word[0], word[0]), text)
