@@ -179,7 +179,7 @@ class MainWindow(QMainWindow):
                 ("Check the background", "B", self.guide.check_background),
                 ("Light off, from anywhere (also Pause)", "F12", self.light.switch_off),
                 None,
-                ("Undo the last dark, reference or change…", "Ctrl+Z", self.guide.ask_undo),
+                ("Undo the last dark, reference or change", "Ctrl+Z", self.guide.ask_undo),
                 ("Cancel, discard or dismiss", "Esc", self.messages.escape),
                 ("Reconnect after a failure", "Ctrl+R", self.messages.reconnect),
                 None,
