@@ -54,7 +54,6 @@ def measured_source(reference: ReferenceSubimages, bench: Bench) -> SourcePoints
         shape=(reference.width, reference.width),
         pupil_samples=_pupil_samples(reference),
         pixel_fill_factor=bench.camera_model.pixel_fill_factor,
-        border_lenslets=0,
     )
     steps = math.ceil(2 * reference.half_width_px / reference.blur_px * _POINTS_PER_BLUR)
     along_m = (np.arange(-_MARGIN_POINTS, steps + 1 + _MARGIN_POINTS) / steps * 2 - 1) * bench.field.half_width_m
@@ -77,7 +76,6 @@ class BenchModel:
             shape=reconstructor.frame_shape,
             pupil_samples=_pupil_samples(reference),
             pixel_fill_factor=bench.camera_model.pixel_fill_factor,
-            border_lenslets=0,
             threads=threads,
         )
         self.source = measured_source(reference, bench)

@@ -91,9 +91,7 @@ class PhaseCheck:
 
 def run_checks() -> Iterator[PhaseCheck]:
     """Render and reconstruct every light."""
-    model = ForwardModel(
-        SENSOR, LATTICE, FIELD, shape=FRAME_SHAPE, pupil_samples=12, pixel_fill_factor=1.0, border_lenslets=0
-    )
+    model = ForwardModel(SENSOR, LATTICE, FIELD, shape=FRAME_SHAPE, pupil_samples=12, pixel_fill_factor=1.0)
     source = source_points("square", Source(), object_samples=25)
     bench = Bench(
         sensor=SENSOR,

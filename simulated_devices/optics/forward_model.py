@@ -144,7 +144,7 @@ class ForwardModel:
         shape: tuple[int, int],
         pupil_samples: int,
         pixel_fill_factor: float,
-        border_lenslets: int,
+        border_lenslets: int = 0,
         threads: int = THREADS,
     ) -> None:
         require(

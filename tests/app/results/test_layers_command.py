@@ -251,7 +251,7 @@ def test_command_files_hold_the_phase(tmp_path: Path) -> None:
     content = (tmp_path / "c.fits").read_bytes()
     assert len(content) == 2 * 2880
     cards = [content[at : at + 80].decode("ascii") for at in range(0, 2880, 80)]
-    assert cards[0] == f"{'SIMPLE  =                    T':80}"
+    assert cards[0][:30] == "SIMPLE  =                    T"
     assert [card[:8].strip() for card in cards[:7]] == ["SIMPLE", "BITPIX", "NAXIS", "NAXIS1", "NAXIS2", "BUNIT", "END"]
     assert int(cards[3][10:]) == 20
     np.testing.assert_allclose(np.frombuffer(content[2880 : 2880 + 960], ">f4").reshape(12, 20), phase, rtol=1e-6)
