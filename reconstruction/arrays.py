@@ -23,7 +23,7 @@ It has no tilt of its own, and is 1 without a sample.
 SIGMA_OF_MEDIAN = 1.4826  # standard deviation of normal noise over the median of its magnitude
 
 
-def median(values: Floats) -> float:
+def median(values: NDArray[np.floating[Any]]) -> float:
     """Median of known values (N,), N > 0; for few of them much faster than NumPy's."""
     upper = values.size // 2
     lower = upper - 1 + values.size % 2

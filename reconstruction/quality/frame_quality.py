@@ -128,7 +128,7 @@ class QualityChecker:
         a_good_one = np.take_along_axis(pixel, np.argmax(is_good, axis=1)[:, None], axis=1)
         floats = (each.astype(np.float32) for each in (is_good, self._stray.gaps, dark, light + dark))
         self._samples = Samples(np.where(is_good, pixel, a_good_one), *floats)
-        self._lenslet_shift = LensletShift(reference, camera.dark)
+        self._lenslet_shift, self._turn = LensletShift(reference, camera.dark), reference.turn
         self._curve = LINEAR if camera.linearity is None else camera.linearity.curve
 
     def _not_judged(self, *, has_limit: bool, needed_frames: int | None) -> Iterator[str]:
@@ -146,7 +146,9 @@ class QualityChecker:
         """Judge a frame (row, column), counts, by its displacements."""
         reasons = dict(self._of_matches(displacement)) | dict(self._of_pixels(frame, displacement))
         if np.count_nonzero(self._lit & ~displacement.valid) >= FEWEST:  # those that the light has left
-            moved_px = self._lenslet_shift(frame)
+            measured_px = displacement.coefficients[displacement.valid][:, 0] @ self._turn
+            middle_px = np.median(measured_px, axis=0) if len(measured_px) else np.zeros(2)
+            moved_px = self._lenslet_shift(frame, middle_px)
             if moved_px.any():
                 x, y = np.rint(moved_px).astype(int)
                 reasons[Fault.RANGE] = (
@@ -305,7 +307,7 @@ def _gradients(sensor: Sensor, rows: int, columns: int, valid_bytes: bytes) -> F
     """Orthonormal basis of the mean gradients of smooth wavefronts on lenslets, (2 * valid, n)."""
     part = replace(sensor, lenslet_rows=rows, lenslet_columns=columns)
     valid: Booleans = np.frombuffer(valid_bytes, np.bool_).reshape(rows, columns)
-    most = _MODES_SHARE * 2 * valid.size
+    most = _MODES_SHARE * 2 * np.count_nonzero(valid)
     degree = max(n for n in range(1, _MOST_DEGREE + 1) if n == 1 or number_up_to(n) <= most)
     gradients = pupil_modes(part, "legendre", number_up_to(degree)).gradients[1:, valid]  # (mode, lenslet, xy)
     basis, _ = np.linalg.qr(gradients.reshape(len(gradients), -1).T)

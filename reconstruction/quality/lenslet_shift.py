@@ -28,17 +28,17 @@ class LensletShift:
         self._px_per_pitch = reference.px_per_pitch
         center_px = reference.center_px[0] + (place - place[_RINGS * columns + _RINGS]) @ self._px_per_pitch
         at_px = center_px[:, None] + reference.offset_px[::2] @ reference.turn
-        column, row = np.moveaxis(np.rint(at_px).astype(np.intp), -1, 0)
-        height, width = reference.image.shape
-        on_camera = np.all((column >= 0) & (row >= 0) & (column < width) & (row < height), axis=1)
-        self._place, self._pixel = place[on_camera], (row * width + column)[on_camera]
-        self._dark = 0.0 if dark is None else dark.ravel()[self._pixel]
-        self._usual = np.count_nonzero(reference.lit)
-        self._lit = self._are_lit(reference.image.ravel()[self._pixel])
+        on_camera = np.all((at_px > -0.5) & (at_px < np.array(reference.image.shape[::-1]) - 0.5), axis=(1, 2))
+        self._place, self._at_px = place[on_camera], at_px[on_camera]
+        self._dark, self._usual = dark, np.count_nonzero(reference.lit)
+        self._lit = self._are_lit(reference.image, np.zeros(2))
 
-    def __call__(self, frame: Counts) -> Floats:
-        """Displacement of a frame (row, column), counts, by a period of the lattice, px on the camera, (xy,); or 0."""
-        lit = self._are_lit(frame.ravel()[self._pixel] - self._dark)
+    def __call__(self, frame: Counts, moved_px: Floats) -> Floats:
+        """Displacement of a frame (row, column), counts, by a period of the lattice, px on the camera, (xy,); or 0.
+
+        `moved_px` (xy,) is the displacement that was measured, about which cells are looked at.
+        """
+        lit = self._are_lit(frame if self._dark is None else frame - self._dark, moved_px)
         if min(np.count_nonzero(lit & ~self._lit), np.count_nonzero(self._lit & ~lit)) < FEWEST:
             return np.zeros(2)
         tree = spatial.KDTree(self._place)
@@ -53,7 +53,9 @@ class LensletShift:
                 best, explained = period @ self._px_per_pitch, still - displaced
         return np.asarray(best)
 
-    def _are_lit(self, light: Floats) -> Booleans:
+    def _are_lit(self, light: Counts, moved_px: Floats) -> Booleans:
         """True for cells with at least a share of the contrast of as many as are lit in the reference, (cell,)."""
-        contrast = light.std(axis=1)
+        last = np.array(light.shape[::-1]) - 1
+        column, row = np.moveaxis(np.rint(self._at_px + moved_px).astype(np.intp).clip(0, last), -1, 0)
+        contrast = light[row, column].std(axis=1)
         return np.asarray(contrast > _LIT * np.median(np.sort(contrast)[-self._usual :]))

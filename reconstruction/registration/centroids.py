@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple, TypeVar
 
 import numpy as np
+import scipy  # which loads its parts when they are used
 from numpy.typing import NDArray
-from scipy import optimize
 
 from reconstruction.arrays import Booleans, Floats, Image, median
 from reconstruction.displacement import Displacement, LensletStatus, RegistrationMethod
@@ -33,16 +33,22 @@ _REACH = 4.0  # sigmas of the weight, beyond which light is left out
 _COMPARED = 2.0  # sigmas of the weight, within which frame and reference are compared
 _PER_BLUR, _PIXEL = 0.45, 1 / 12  # sigma of a diffraction-limited spot over its first zero; variance of a pixel
 _PASSES, _SETTLED = 4, 0.01  # that measure the spots at most; relative change that ends them
-_LEAST_SIGMA_PX, _MOST_SIGMA = 0.3, 1 / 6  # of spots; the latter over the distance between two
+_LEAST_SIGMA_PX, _MOST_SIGMA = 0.5, 1 / 6  # of spots; the latter over the distance between two
+_SAMPLED_PX = 0.7  # sigma of a weight, below which sums over pixels are not its moments
 _ITERATIONS, _TOLERANCE_PX, _LAST_PX = 15, 1e-4, 0.01
 _FAR_PX = 3.0  # from the brightest pixel of the smoothed image, beyond which a spot is another one
 _CERTAIN = 0.2  # standard error over the weight's sigma; larger ones are those of peaks of the noise
 _MISFIT = 0.7  # residual over contrast above which two spots differ, noise aside
 _STARLESS_FRACTION = 0.5  # of the lit lenslets; if more lack a star, the reference shows another source
 _EXPECTED = 1 / 3  # of the gap between stars, within which each lies in the reference
+_NEIGHBOURS, _BESIDE = 9, 1.6  # of a lenslet and with it, at most, and how many pitches away
+_BEYOND = 1.5  # of the way from a lenslet to its border, up to which spots are found that their neighbours expect
+_REWEIGHTINGS = 8  # of the displacements, for their trend
+_ASTRAY = 0.3  # of a cell, by which a spot may lie off where its neighbours' displacements expect it
 _TINY = np.finfo(np.float32).tiny
 _FITTED = 4  # numbers fitted to a spot: position, gain and offset
 _ALIKE = 0.975  # correlation of the mean subimage with a spot, noise aside, above which it is one
+_POINT_PX = 1.0  # half the width of a field that shows no warp
 _HALOES = np.array([0.5, 1.0, 2.0])  # sigmas of the Gaussians of a spot over its own
 
 
@@ -59,12 +65,16 @@ def prepare(
 
 
 def spot_sigma_px(reference: ReferenceSubimages) -> float:
-    """Sigma of the spots if each lit lenslet of a reference shows a single one; else 0."""
+    """Sigma of the spots if each lit lenslet of a reference shows a single one; else 0.
+
+    Of a field that the lenslets do not resolve, any image is a spot: it shows no warp.
+    """
     try:
         found = Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1))
     except (ReconstructionError, ValueError):
         return 0.0
-    return found.sigma_px if found.likeness() > _ALIKE else 0.0
+    is_point = reference.half_width_px < max(reference.blur_px / 2, _POINT_PX)
+    return found.sigma_px if is_point or found.likeness() > _ALIKE else 0.0
 
 
 class _Spots(NamedTuple):
@@ -118,13 +128,13 @@ class Centroids:
         self._shifts_px = shifts_px[inside | ~shifts_px.any(axis=1)]
         self._places = self._index(self._on_camera(self._shifts_px[:, None] + self._nominal_px))
 
-        self.sigma_px = math.hypot(_PER_BLUR * reference.blur_px, math.sqrt(_PIXEL))
+        self.sigma_px = max(math.hypot(_PER_BLUR * reference.blur_px, math.sqrt(_PIXEL)), _LEAST_SIGMA_PX)
         for _ in range(_PASSES):
-            self._spots = self._find(reference.image, is_reference=True)
+            self._spots = self._find(reference.image, self._brightest(reference.image, is_reference=True))
             before_px, self.sigma_px = self.sigma_px, self._measured_sigma_px()
             if math.isclose(before_px, self.sigma_px, rel_tol=_SETTLED):
                 break
-        self._spots = self._find(reference.image, is_reference=True)
+        self._spots = self._find(reference.image, self._brightest(reference.image, is_reference=True))
         lit = np.repeat(reference.lit, len(self._nominal_px))
         self._faintest = DARK_CONTRAST * median(self._spots.brightness[lit])
         self._known = self._spots.is_peak & (self._spots.brightness > self._faintest)
@@ -135,17 +145,29 @@ class Centroids:
         if not np.mean(self._by_lenslet(self._known)[reference.lit].all(axis=1)) > 1 - _STARLESS_FRACTION:
             raise ReconstructionError("the reference shows no stars where they are expected: is the pinhole mask in?")
         self._covariance = self._of_noise(self._spots)
+        tree, farthest_px = scipy.spatial.KDTree(reference.center_px), _BESIDE * reference.pitch_px
+        _, near = tree.query(reference.center_px, _NEIGHBOURS, distance_upper_bound=farthest_px)
+        self._beside = np.asarray(near)[:, 1:]  # numbers of the neighbours, L where there is none, (L, n)
+        x, y = (reference.center_px / reference.center_px.max()).T
+        self._trends = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
 
     def __call__(self, light: Image, *, saturated: Booleans, start: Displacement | None = None) -> Displacement:  # noqa: ARG002 - each frame is searched anew
         """Register a frame; see `displacement.RegistrationMethod`. A lenslet is lost with any of its stars."""
         reference, before = self._reference, self._spots
-        after = self._find(repaired(light, reference.bad))
+        image, astray = repaired(light, reference.bad), np.zeros(len(before.is_peak), np.bool_)
+        after = self._find(image, self._brightest(image))
+        if len(self._nominal_px) == 1:
+            after, astray = self._among_neighbours(image, after)
         misfit, of_residual = self._compared(after)
         covariance = of_residual
         if reference.noise is not None:
             covariance = self._of_noise(after) + self._covariance / reference.reference_frames
         error_px = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2) / 2, 0))
         found = after.is_peak & self._known & (error_px < _CERTAIN * self._weight * self.sigma_px) & (misfit < _MISFIT)
+        range_used = self._range_used(after) * found
+        if len(self._nominal_px) == 1:
+            range_used = np.where(~astray & (range_used < _BEYOND), np.minimum(range_used, 1), range_used)
+        found &= ~astray | (range_used > 1)
 
         lenslets, stars = len(reference.lit), len(self._nominal_px)
         displacement = (after.position_px - before.position_px) @ reference.turn.T
@@ -162,8 +184,46 @@ class Centroids:
                 LensletStatus.DIVERGED: np.any(~self._by_lenslet(found), axis=1),
                 LensletStatus.SATURATED: reference.touched(saturated),
             },
-            range_used=np.max(self._by_lenslet(self._range_used(after) * found), axis=1),
+            range_used=np.max(self._by_lenslet(range_used), axis=1),
         )
+
+    def _among_neighbours(self, image: Image, spots: _Spots) -> tuple[_Spots, Booleans]:
+        """Look again for single spots that lie far from where those of neighbours expect them.
+
+        Those are of other lenslets, or noise; an expected one may lie beyond its cell. Also says which are lost, (L,).
+        """
+        before_px, most_px = self._spots.position_px, _ASTRAY * self._reference.side_px
+        likely = spots.is_peak & self._known
+        likely &= spots.brightness > DARK_CONTRAST * median(spots.brightness[likely])
+        expected_px = self._expected_px(spots.position_px - before_px, likely)
+        astray = np.hypot(*(spots.position_px - expected_px).T) > most_px
+        if not np.any(astray & self._known):
+            return spots, astray
+        near_px = self._brightest(image, near_px=expected_px[:, None])
+        again = self._find(image, np.where(astray[:, None, None], near_px, spots.position_px[:, None]))
+        astray = np.hypot(*(again.position_px - expected_px).T) > most_px
+        pairs = zip(spots, again, strict=True)
+        return _Spots(*(np.where(astray.reshape(-1, *(1,) * (one.ndim - 1)), one, two) for one, two in pairs)), astray
+
+    def _expected_px(self, moved_px: Floats, likely: Booleans) -> Floats:
+        """Positions on the camera (L, xy) that the displacements of `likely` neighbours expect, (L, xy).
+
+        That is their median about the trend of all, without those in the cells of others, which lie far from it.
+        """
+        if np.count_nonzero(likely) < 2 * self._trends.shape[1]:
+            return self._spots.position_px + moved_px
+        trends, weight = self._trends[likely], np.ones((np.count_nonzero(likely), 1))
+        for _ in range(_REWEIGHTINGS):  # towards the least sum of distances
+            trend_px = self._trends @ np.linalg.lstsq(trends * weight, moved_px[likely] * weight, rcond=None)[0]
+            away_px = np.hypot(*(moved_px - trend_px).T)
+            weight = np.sqrt(1 / np.maximum(away_px[likely, None], self.sigma_px))
+        likely = likely & (away_px < self._reference.side_px / 2)
+        rest_px = np.full((len(likely) + 1, 2), np.nan)
+        rest_px[:-1][likely] = (moved_px - trend_px)[likely]
+        near_px = np.sort(rest_px[self._beside], axis=1)  # NaN last
+        middle = np.maximum(np.isfinite(near_px).sum(axis=1, keepdims=True) - 1, 0) // 2
+        rest_px = np.nan_to_num(np.take_along_axis(near_px, middle, axis=1)[:, 0])
+        return np.asarray(self._spots.position_px + trend_px + rest_px)
 
     def likeness(self) -> float:
         """Correlation of the mean subimage of the reference, each about its spot, with the spot most like it.
@@ -180,7 +240,7 @@ class Centroids:
         light /= spots.brightness[known, None]
         away = np.sum(reference.offset_px**2, axis=1)[:, None] / self.sigma_px**2
         gaussians = np.exp(away / (-2 * _HALOES**2))
-        amplitudes, _ = optimize.nnls(gaussians - gaussians.mean(axis=0), light.mean(axis=0) - light.mean())
+        amplitudes, _ = scipy.optimize.nnls(gaussians - gaussians.mean(axis=0), light.mean(axis=0) - light.mean())
         spot = gaussians @ amplitudes
         of_one, of_other, alike = np.corrcoef([light[::2].mean(axis=0), light[1::2].mean(axis=0), spot])[
             [0, 1, 0], [2, 2, 1]
@@ -203,10 +263,10 @@ class Centroids:
         column, row = np.moveaxis(np.rint(position_px).astype(np.intp), -1, 0)
         return np.asarray(np.clip(row, 0, rows - 1) * columns + np.clip(column, 0, columns - 1))
 
-    def _find(self, image: Image, *, is_reference: bool = False) -> _Spots:
-        """Find the spots of an image (row, column): the peaks of the smoothed image, by Newton's method."""
+    def _find(self, image: Image, near_px: Floats) -> _Spots:
+        """Find the spots of an image (row, column), the peaks of the smoothed image near (L, S, xy), by Newton's."""
         sigma_px = self._weight * self.sigma_px
-        start = np.rint(self._brightest(image, sigma_px, is_reference=is_reference).reshape(-1, 2)).astype(np.intp)
+        start = np.rint(near_px.reshape(-1, 2)).astype(np.intp)
         half = math.ceil(min(_REACH * sigma_px + _FAR_PX, self._gap_px))
         corner, steps = start - half, np.arange(2 * half + 1)
         column, row = np.moveaxis(corner[..., None] + steps, 1, 0)  # (K, n)
@@ -229,23 +289,24 @@ class Centroids:
         position_px = np.where(is_near[:, None], position_px, start)
         return _Spots(position_px, corner, stamp, curvature, is_peak & is_near & (largest_px < _LAST_PX))
 
-    def _brightest(self, image: Image, sigma_px: float, *, is_reference: bool) -> Floats:
-        """Brightest places of the smoothed image near each star, on the camera, (L, S, xy)."""
-        smooth = cv2.GaussianBlur(image, (0, 0), sigma_px).ravel()
-        stars = self._nominal_px
-        shift_px = np.zeros((len(self._places), 2))
-        if len(stars) == 1 or not is_reference:  # a grid of stars is not displaced there
-            shift_px = self._shifts_px[smooth[self._places].sum(axis=2).argmax(axis=1)]
-        start_px: Floats = self._reference.center_px[:, None] + (shift_px[:, None] + stars) @ self._reference.turn
-        if len(stars) == 1:
-            return start_px
-        half = max(int(self._gap_px / 2) - 1, 1)
+    def _brightest(self, image: Image, *, is_reference: bool = False, near_px: Floats | None = None) -> Floats:
+        """Brightest places of the smoothed image in each cell, or near (L, S, xy), on the camera, (L, S, xy)."""
+        smooth = cv2.GaussianBlur(image, (0, 0), self._weight * self.sigma_px).ravel()
+        stars, half = self._nominal_px, int(_ASTRAY * self._reference.side_px)
+        if near_px is None:
+            shift_px = np.zeros((len(self._places), 2))
+            if len(stars) == 1 or not is_reference:  # a grid of stars is not displaced there
+                shift_px = self._shifts_px[smooth[self._places].sum(axis=2).argmax(axis=1)]
+            near_px = self._reference.center_px[:, None] + (shift_px[:, None] + stars) @ self._reference.turn
+            if len(stars) == 1:
+                return near_px
+            half = max(int(self._gap_px / 2) - 1, 1)
         around = np.stack(np.meshgrid(*[np.arange(-half, half + 1.0)] * 2), axis=-1).reshape(-1, 2)
-        return np.asarray(start_px + around[smooth[self._index(start_px[:, :, None] + around)].argmax(axis=2)])
+        return np.asarray(near_px + around[smooth[self._index(near_px[:, :, None] + around)].argmax(axis=2)])
 
     def _measured_sigma_px(self) -> float:
         """Median sigma of the lit spots of the reference, by moments with a weight as wide as they seemed."""
-        spots, variance = self._spots, self.sigma_px**2
+        spots, variance = self._spots, max(self.sigma_px, _SAMPLED_PX) ** 2
         known = spots.is_peak & np.repeat(self._reference.lit, len(self._nominal_px))
         stamp = spots.stamp[known]
         if not len(stamp):

@@ -24,6 +24,7 @@ _NEXT_PX = 2.0  # beyond the border of a cell, where interpolation still uses a 
 DARK_CONTRAST = 0.1  # of the typical lit lenslet's contrast; with less, a lenslet is absent, or dark in a frame
 MISFIT = 0.5  # residual over contrast above which a subimage does not match the reference
 _BRIGHT = 3  # rank of a lit lenslet's contrast; higher ones may be stray
+_BY_CHANCE = 3  # standard errors of the light that neighbouring pixels share, which noise alone may reach
 _SMOOTH = 0.2  # correlation of neighbouring pixels below which a reference is only noise
 
 
@@ -113,7 +114,7 @@ class ReferenceSubimages:
                 " sensor.lenslet_rows and lenslet_columns, which are then found"
             )
         in_pupil = sensor.is_in_pupil.ravel() & ~off_camera
-        dark = ~(self.contrast > DARK_CONTRAST * typical(self.contrast[~off_camera])) | ~in_pupil
+        dark = ~(self._shown > DARK_CONTRAST * typical(self._shown[~off_camera])) | ~in_pupil
         is_excluded = np.zeros(self.lenslets, np.bool_)
         is_excluded[tuple(np.array([*excluded], np.intp).reshape(-1, 2).T)] = True
         self.excluded = is_excluded.ravel()
@@ -123,7 +124,7 @@ class ReferenceSubimages:
         if self.excluded.all() or not in_pupil.any():
             by_hand = "all lenslets are excluded by hand: use some of them again"
             raise UnusableSettings(by_hand if in_pupil.any() else "no centre of a lenslet lies in [pupil]: change it")
-        if not self.lit.any() or self._smoothness() < _SMOOTH:
+        if not self.lit.any() or np.median(self._shown[self.lit] / self.contrast[self.lit]) ** 2 < _SMOOTH:
             raise ReconstructionError("the reference shows no light on its lenslets: was the light on?")
 
     def _is_on_frame(self, position_px: Floats, rim_px: float = -0.5) -> Booleans:
@@ -172,6 +173,11 @@ class ReferenceSubimages:
         return np.asarray(pixels[self._nearest].any(axis=1))
 
     @cached_property
+    def _shown(self) -> Floats:
+        """Structure of the subimages, counts, (L,)."""
+        return structure(self.image[self._nearest].reshape(-1, self.width, self.width))
+
+    @cached_property
     def _nearest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of the pixels next to the windows' positions, (L, N)."""
         column, row = np.moveaxis(np.rint(self.position_px).astype(np.intp), -1, 0)
@@ -216,12 +222,19 @@ class ReferenceSubimages:
                 usable &= ~self.bad[np.minimum(row + below, rows - 1), np.minimum(column + beside, columns - 1)]
         return usable
 
-    def _smoothness(self) -> float:
-        """Median correlation of horizontal neighbours in the lit windows: about 0 for noise."""
-        window = self.light[self.lit].reshape(-1, self.width, self.width)
-        window = window - window.mean(axis=(1, 2), keepdims=True)
-        neighbours = (window[:, :, 1:] * window[:, :, :-1]).mean(axis=(1, 2))
-        return float(np.median(neighbours / (window**2).mean(axis=(1, 2))))
+
+def structure(light: NDArray[np.floating[Any]]) -> Floats:
+    """RMS of the light (L, n, n) that pixels of a row share with their neighbours, beyond a plane and chance: (L,).
+
+    Noise, which they do not share, and a sloping background count nothing.
+    """
+    steps = centered_steps(light.shape[-1])
+    away = light - light.mean(axis=(1, 2), keepdims=True)
+    for along in (steps, steps[:, None]):
+        away = away - along * (np.sum(along * away, axis=(1, 2), keepdims=True) / np.sum(along**2) / len(steps))
+    shared = np.mean(away[:, :, 1:] * away[:, :, :-1], axis=(1, 2))
+    by_chance = _BY_CHANCE * np.mean(away**2, axis=(1, 2)) / len(steps)
+    return np.asarray(np.sqrt(np.maximum(shared - by_chance, 0.0)), np.float64)
 
 
 def typical(contrast: Floats) -> float:
@@ -259,7 +272,7 @@ def classify_lenslets(
         outcome[reference.leaves_frame(np.where(lost[:, None], 0, coefficients[:, :, 0]))] = LensletStatus.LEFT_CELL
     for reason, fault in faults.items():
         outcome[fault] = reason
-    contrast = np.where(np.isfinite(contrast), contrast, 0)
+    contrast = np.where(np.isfinite(contrast), contrast, 0.0)
     outcome[~reference.lit | ~(contrast > DARK_CONTRAST * median(contrast[reference.lit]))] = LensletStatus.DARK
     outcome[reference.absent] = LensletStatus.ABSENT
     outcome[reference.excluded] = LensletStatus.EXCLUDED

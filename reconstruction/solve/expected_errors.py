@@ -139,6 +139,8 @@ class ExpectedErrors:
     def variance(self, estimate: Estimate, singular: Floats, alike: float, *, has_depth: bool = False) -> Floats:
         """Variance of the components of an estimate with those singular values (n,); see `larger`."""
         noise, larger = estimate.noise, self.larger(estimate.noise, alike, has_depth=has_depth)
+        if not larger:  # data without any misfit
+            return np.zeros_like(singular)
         return np.asarray(larger / (singular**2 + larger / (noise * estimate.ratio)))
 
     def larger(self, noise: float, alike: float, *, has_depth: bool = False) -> float:
