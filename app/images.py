@@ -133,7 +133,8 @@ def _read_tiff(path: Path, index: int | None) -> NDArray[Any]:
         if series.keyframe.photometric == _WHITE_IS_ZERO:
             raise ValueError("it is a negative, in which 0 is white; save it with 0 as black")
         tag, compression = series.keyframe.tags.get(_ORIENTATION), series.keyframe.compression
-        refusal = ValueError(f"it is compressed ({compression.name}); save it without compression")
+        by = getattr(compression, "name", compression)  # a number if the file leaves it out
+        refusal = ValueError(f"it is compressed ({by}); save it without compression")
         if compression not in tifffile.TIFF.DECOMPRESSORS:
             raise refusal
         try:
@@ -258,6 +259,7 @@ def _chosen(shapes: dict[str, tuple[int, ...]], path: Path, name: str) -> str:
     if name in shapes:
         return name
     images = [each for each, shape in shapes.items() if sum(length > 1 for length in shape) > 1]
+    images.sort(key=lambda each: -math.prod(shapes[each]))  # likely ones first
     if not name and len(images) == 1:
         return images[0]
     listed = ", ".join(f"{each} ({' x '.join(map(str, shapes[each]))})" for each in images[:_SHOWN])

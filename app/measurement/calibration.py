@@ -56,10 +56,7 @@ class Calibration:
             found = surveyed(bench.sensor, reference, dark=dark, full_scale=full_scale)
             bench, lattice = replace(bench, sensor=found.sensor), found.lattice
         light, background = reference.mean, _dark_like(reference.mean, dark)
-        light = repaired(
-            light - (0.0 if background is None else background), _bad_pixels(reference, dark, bench.sensor.blur_px)
-        )
-        lit = lit_lenslets(light, lattice, bench.sensor)
+        lit = lit_lenslets(light - (light.min() if background is None else background), lattice, bench.sensor)
         bench = replace(bench, sensor=bench.sensor.with_pupil(lit))
         return cls(bench=bench, dark=dark, reference=reference, lattice=lattice, full_scale=full_scale, known=known)
 

@@ -87,9 +87,9 @@ def test_array_is_chosen_by_its_name(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(Path(f"{tmp_path}/a.mat:camera/dark")), STACK[1])
     with pytest.raises(InputError) as refusal:
         read_image(tmp_path / "a.h5")
-    listed = "it holds data/dark (6 x 9), data/frames (5 x 6 x 9): name one, as a.h5:data/dark"
+    listed = "it holds data/frames (5 x 6 x 9), data/dark (6 x 9): name one, as a.h5:data/frames"
     assert str(refusal.value).endswith(listed)
-    with pytest.raises(InputError, match="it has no array /data/Dark; it holds data/dark".replace("/data/D", "data/D")):
+    with pytest.raises(InputError, match="it has no array data/Dark; it holds data/frames"):
         read_image(Path(f"{tmp_path}/a.h5:/data/Dark"))
     assert name_of(Path(f"{tmp_path}/a.h5:/data/frames[2]")) == "a.h5:/data/frames[2]"
     assert place_of(Path(f"{tmp_path}/a.h5:/data/frames[2]")) == (tmp_path / "a.h5", "/data/frames", 2)

@@ -74,6 +74,18 @@ def test_only_image_of_a_file_is_read(tmp_path: Path) -> None:
         read_image(tmp_path / "two.tif")
 
 
+def test_file_that_leaves_the_compression_out_is_read(tmp_path: Path) -> None:
+    """As ImageJ writes it: tag 259 is optional. Here another number hides it, which no reader knows."""
+    tifffile.imwrite(tmp_path / "frame.tif", IMAGE, metadata=None, byteorder="<")
+    content = (tmp_path / "frame.tif").read_bytes()
+    tag = (259).to_bytes(2, "little") + (3).to_bytes(2, "little")
+    assert content.count(tag) == 1
+    (tmp_path / "frame.tif").write_bytes(content.replace(tag, (65000).to_bytes(2, "little") + tag[2:]))
+    with tifffile.TiffFile(tmp_path / "frame.tif") as file:
+        assert 259 not in file.pages.first.tags
+    np.testing.assert_array_equal(read_image(tmp_path / "frame.tif"), IMAGE)
+
+
 def test_negative_is_refused(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "negative.tif", IMAGE, photometric="miniswhite")
     with pytest.raises(InputError, match="a negative, in which 0 is white"):

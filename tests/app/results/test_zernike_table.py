@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tifffile
 import xarray as xr
 from support.command_line import run
 from support.pictures import assert_drawn
@@ -96,6 +97,22 @@ def test_results_file_says_axes_basis_order_and_pupil(
             assert found[f"{name}_waves"].attrs["units"] == "waves"
         x, y = found["pupil_x"].values / RADIUS_M, found["pupil_y"].values[:, None] / RADIUS_M
         np.testing.assert_array_equal(np.isfinite(found["wavefront"].values[0, 0]), np.hypot(x, y) <= 1)
+
+
+@pytest.mark.slow
+def test_hot_pixels_light_no_lenslet_of_the_pupil(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    spots = write_spots(tmp_path)
+    bench = spots[2].read_text()
+    spots[2].write_text(bench[: bench.index("[pupil]")])
+    reconstruct(monkeypatch, spots, tmp_path / "clean.nc")
+    for path in spots[:2]:
+        image = tifffile.imread(path)
+        image[[13, 14, 270, 275], [15, 268, 11, 274]] = 30_000  # in the corners, which are dark
+        tifffile.imwrite(path, image)
+    reconstruct(monkeypatch, spots, tmp_path / "hot.nc")
+    with xr.open_dataset(tmp_path / "clean.nc") as clean, xr.open_dataset(tmp_path / "hot.nc") as hot:
+        assert clean.attrs["pupil"] == "circle"
+        assert hot.attrs["pupil_radius_m"] == clean.attrs["pupil_radius_m"]
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,14 @@ def test_displacement_by_whole_lenslets_is_flagged(pupil: str, lenslets: tuple[i
     x, y = (int(each * PITCH_PX) for each in lenslets)
     quality = judged(exposed(lit), exposed(lit, np.array([x + 2.4, y - 1.7]), seed=1))
     assert f"displaced by ({x:+d}, {y:+d}) px" in quality.reasons[Fault.RANGE]
+
+
+@pytest.mark.parametrize("share", [0.53, 0.56, 0.6, -0.55])
+def test_displacement_by_half_a_lenslet_is_flagged(share: float) -> None:
+    """Spots on the border of two cells light both, and each is taken for its neighbour's."""
+    lit = pupil_at("round")
+    quality = judged(exposed(lit), exposed(lit, np.array([share * PITCH_PX, 0.0]), seed=1))
+    assert f"displaced by ({math.copysign(PITCH_PX, share):+.0f}, +0) px" in quality.reasons[Fault.RANGE]
 
 
 @pytest.mark.parametrize("pupil", RADII)

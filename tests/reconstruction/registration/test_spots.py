@@ -159,6 +159,82 @@ def test_stars_outside_the_field_are_left_out() -> None:
         prepare_registration(reference, settings, bench.field)
 
 
+def defocus_px(bench: SpotBench, farthest: float) -> Floats:
+    """Displacements (row, column, xy), px, that grow from the middle, at the rim's middle to a share of the pitch."""
+    away = bench.center_px - bench.center_px.mean(axis=(0, 1))
+    return np.asarray(farthest * bench.lattice.pitch_px * away / (away @ bench.lattice.turn.T).max())
+
+
+@pytest.mark.parametrize("rotation_rad", [0.0, 0.3])
+def test_spots_beyond_their_cells_are_found_by_their_neighbours(rotation_rad: float) -> None:
+    """Where a row of spots has left its cells, the next row's lie in them: they were taken for it, a pitch off."""
+    bench = SpotBench(rotation_rad=rotation_rad, margin_px=60)
+    moved_px = defocus_px(bench, 0.6)
+    reference = subimages(bench, bench.image(sigma_px=1.2, light=1e4))
+    found = registered(reference, bench.image(moved_px, sigma_px=1.2, light=1e4))
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < 0.01
+    assert found.range_used.max() == 1
+
+
+def test_spots_of_others_and_noise_are_lost() -> None:
+    """In the cells of missing spots, as near the edge of a star's light on a larger reference."""
+    bench, rng = SpotBench(16, 16), np.random.default_rng(5)
+    column = np.arange(16)
+    lit = np.broadcast_to(column < 7, (16, 16))
+    moved_px = np.zeros((16, 16, 2))
+    moved_px[:, :, 0] = 0.47 * bench.lattice.pitch_px * column / 6  # the last lit ones lie almost in dark cells
+    reference = subimages(bench, bench.image(sigma_px=1.0, light=1e3))
+    stray = np.where(column == 9, 60.0, 0.0)  # in dark cells, beside their middles
+    frame = bench.image(moved_px, sigma_px=1.0, light=1e3, lit=lit)
+    frame = frame + bench.image(np.array([9.0, -8.0]), sigma_px=1.0, light=np.broadcast_to(stray, (16, 16)))
+    found = registered(reference, rng.poisson(frame + 4) - 4.0)
+    assert found.valid[lit].all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < 0.2
+    assert not found.valid[~lit].any()
+
+
+@pytest.mark.parametrize("sigma_px", [0.4, 0.6, 6.0])
+def test_size_of_spots_is_found_from_a_wrong_diffraction(sigma_px: float) -> None:
+    """Of a bench whose blur is 3.7 px: sums over fewer pixels are no moments, and had led to ever smaller sizes."""
+    bench, rng = SpotBench(6, 6, pitch_px=60.0), np.random.default_rng(2)
+    reference = subimages(bench, rng.poisson(bench.image(sigma_px=sigma_px, light=1e5) + 20) - 20.0)
+    found = Centroids(reference, star_x=np.zeros(1), star_y=np.zeros(1)).sigma_px
+    assert found == pytest.approx(max(math.hypot(sigma_px, math.sqrt(1 / 12)), 0.5), rel=0.1)
+
+
+@pytest.mark.parametrize("picture", ["square", "ring"])
+def test_any_image_of_a_field_that_is_not_resolved_is_a_spot(picture: str) -> None:
+    """It shows no warp: a quartic one over half a pixel took such images beyond their cells."""
+    steps = np.linspace(-5, 5, 6)
+    square = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    ring = 7 * np.exp(2j * np.pi * np.arange(24) / 24).view(np.float64).reshape(-1, 2)
+    for half_width_px, method in ((0.4, "centroids"), (6.0, "gauss_newton")):
+        bench = SpotBench(field_half_width_px=half_width_px)
+        moved_px = {"square": square, "ring": ring}[picture]
+        image, moved = (
+            np.sum([bench.image(each + by, sigma_px=1.2, light=500.0) for each in moved_px], axis=0)
+            for by in (np.zeros(2), np.array([1.7, -0.6]))
+        )
+        reference = subimages(bench, image)
+        assert chosen(RegistrationSettings(), reference)[0].method == method
+        if method == "centroids":
+            found = registered(reference, moved)
+            assert found.valid.all()
+            assert np.abs(errors_px(bench, found, np.broadcast_to([1.7, -0.6], (12, 12, 2)))).max() < 0.02
+
+
+def test_dark_cells_are_absent_in_noise_and_on_a_slope() -> None:
+    """Their contrast is that of the spots, but neighbouring pixels share none of it, or a plane."""
+    bench, rng = SpotBench(), np.random.default_rng(4)
+    lit = np.indices((12, 12)).sum(axis=0) < 11
+    slope = np.linspace(0, 400, bench.shape[1])
+    image = bench.image(sigma_px=1.0, light=600.0, lit=lit) + slope + rng.normal(0, 4, bench.shape)
+    reference = subimages(bench, image)
+    np.testing.assert_array_equal(reference.lit.reshape(12, 12), lit)
+    assert reference.contrast[~reference.lit].min() > 0.3 * np.median(reference.contrast[reference.lit])
+
+
 @pytest.mark.parametrize("sigma_px", [0.8, 1.2, 2.2, 3.0])
 @pytest.mark.parametrize("field_half_width_px", [1.0, 8.0])
 def test_spots_choose_centroids(sigma_px: float, field_half_width_px: float) -> None:

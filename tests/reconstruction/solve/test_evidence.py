@@ -13,8 +13,8 @@ from reconstruction.layers.layer_solver import FrameEquations, LayerSolver, prio
 from reconstruction.modes.field_modes import LegendreModes, gradient_basis
 from reconstruction.modes.layered_modes import layered_wavefronts
 from reconstruction.modes.pupil_modes import pupil_modes
-from reconstruction.solve.evidence import FitQuality
-from reconstruction.solve.expected_errors import MeanGradients
+from reconstruction.solve.evidence import Estimate, FitQuality
+from reconstruction.solve.expected_errors import ExpectedErrors, MeanGradients
 from reconstruction.solve.modal import ModalSolver
 
 SENSOR, MODES, FIELD_MODES = sensor_of(3, 4), pupil_modes(sensor_of(3, 4), "legendre", 6), LegendreModes(3)
@@ -74,3 +74,12 @@ def test_quality_is_the_gaussian_evidence(noise: float) -> None:
     rows = np.concatenate([layers.rows(ratio, layers.degree) for ratio in (-0.4, -1.2)], axis=2)
     design = rows.reshape(data.size, -1) * np.tile(prior_scale(layers.degree), 2)
     check(FrameEquations(layers, displacement).fit(-0.4, -1.2).quality, design, data.ravel())
+
+
+def test_displacements_that_fit_exactly_leave_no_error() -> None:
+    """Those of a frame without noise that only moved: there was no variance to divide by."""
+    everywhere = np.ones((3, 4), np.bool_)
+    covariance = diagonal_covariance(np.full((3, 4, 3, 2), SIGMA_PX**2))
+    errors = ExpectedErrors(MeanGradients(SENSOR, GRADIENTS), GRADIENTS, covariance, everywhere)
+    exact = Estimate(values=np.zeros(2), ratio=1e3, noise=0.0, freedom=10.0)
+    np.testing.assert_array_equal(errors.variance(exact, np.array([2.0, 0.0]), 4.0), [0, 0])
