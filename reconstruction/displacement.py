@@ -69,7 +69,10 @@ LINEAR_TERMS = 3  # of which the constant and the linear ones are no displacemen
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transmission:
-    """Light that the sample lets through: the subimages' brightness over the reference's, quadratic over the field."""
+    """Brightness of the frame's subimages over that of the reference's, quadratic over the field.
+
+    Rays keep their brightness, so that it is what the sample lets through, and not how it gathers light.
+    """
 
     coefficients: Floats  # of `TRANSMISSION_MODES`, (lenslet_row, lenslet_column, 6); NaN where unknown
     covariance: Floats  # (lenslet_row, lenslet_column, 6, 6), of the camera's noise
@@ -168,7 +171,7 @@ def field_means(modes: FieldModes) -> Floats:
 
 
 def diagonal_covariance(variance: Floats) -> Floats:
-    """Covariance (..., field_mode, xy, field_mode, xy) of independent errors, variance (..., field_mode, xy)."""
+    """Covariance (..., field_mode, xy, field_mode, xy), px^2, from independent variances (..., field_mode, xy)."""
     modes, axes = variance.shape[-2:]
     return np.asarray(variance[..., None, None] * np.eye(modes * axes).reshape(modes, axes, modes, axes))
 

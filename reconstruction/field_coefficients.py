@@ -60,7 +60,10 @@ _MOST_MODES = 36  # of a fit at the lenslet centres: all up to degree 7
 
 
 def fit_at_lenslets(sensor: Sensor, basis: PupilBasis, known: Booleans) -> tuple[PupilModes, Floats]:
-    """Fit modes to wavefronts at known lenslets in the pupil; return modes and matrix (pupil_mode, lenslet)."""
+    """Fit modes to wavefronts at the known lenslets (lenslet_row, lenslet_column) in the pupil.
+
+    Returns modes and the matrix (pupil_mode, lenslet) from wavefronts to coefficients; zero for lenslets without use.
+    """
     least = min(sensor.lenslets)
     modes = pupil_modes(sensor, basis, min(_MOST_MODES, number_up_to(least - 1)))
     used = (known & modes.inside).ravel()

@@ -243,7 +243,10 @@ class Reconstructor:
         return self.absorbing if displacement.absorbs else self
 
     def shows_absorption(self, displacement: Displacement) -> bool:
-        """True if the subimages' brightness over the field has more quadratic terms than that of a clear sample."""
+        """True if the brightness of the subimages varies more over the field than that of a clear sample.
+
+        A linear brightness is no displacement anyway; the quadratic part tells.
+        """
         found = displacement.transmission if self._may_absorb else None
         if found is None:
             return False
@@ -442,7 +445,7 @@ class Reconstructor:
         return prepare(min(warps, key=lambda warp: self._expected_error_rad2(warp, prepare(warp))))
 
     def _expected_error_rad2(self, warp: Warp, prepared: _Registration) -> float:
-        """Mean expected square error of the views by noise and systematic error with a warp, lenslets alike."""
+        """Mean expected square error of the views with a warp, by noise and systematic error, lenslets alike."""
         at_rest, parameters, sensor = prepared.at_rest, prepared.parameters, self.sensor
         if prepared.hidden or not at_rest.valid.any():  # nothing determines it
             return math.inf

@@ -157,7 +157,11 @@ def without_tilt(phase: Floats, arrangement: Arrangement) -> Floats:
 
 
 def without_zernikes(phase: Floats, numbers: Iterable[int], sensor: Sensor) -> Floats:
-    """Subtract piston and Zernike modes, fitted together, from (..., lenslet_row, lenslet_column), rad, with NaN."""
+    """Subtract piston and Zernike modes by Noll's numbers, ignoring NaN.
+
+    From wavefronts (..., lenslet_row, lenslet_column), rad. All modes up to the last one are fitted together to all
+    known lenslets. They are those of the pupil's circle or annulus.
+    """
     if not (removed := [number - 1 for number in numbers]):
         return without_piston(phase)
     x, y = np.moveaxis(sensor.circle.normalised(sensor.lenslet_centers_m), -1, 0)

@@ -180,7 +180,10 @@ def _wiener(
 
 
 def regularised(light: Values, blur: SpaceVariantBlur, *, strength: float, start: Values, iterations: int) -> Values:
-    """Minimise |light - blurred|^2 + strength |gradient|^2 from an object `start`, all (row, column), by CG."""
+    """Minimise |light - blurred|^2 + strength |gradient|^2 over objects (row, column), by conjugate gradients.
+
+    `light` is an image (row, column), `start` an object; both in any unit.
+    """
 
     def normal(flat: Values) -> Values:
         scene = flat.reshape(start.shape)

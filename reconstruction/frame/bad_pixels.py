@@ -27,7 +27,11 @@ _FURTHER = np.pad(np.zeros((3, 3), np.bool_), 1, constant_values=True)  # the 16
 def find_bad_pixels(
     reference: NDArray[np.generic], dark: NDArray[np.generic] | None = None, *, blur_px: float
 ) -> Booleans:
-    """Find pixels (row, column) of a reference, and its dark, that neither diffraction nor noise can explain."""
+    """Find dead and hot pixels in a reference, and its dark, (row, column), counts: bool (row, column).
+
+    What stays on the sensor would match at no displacement. Conservative: a pixel is bad only if neither a
+    diffraction-limited image of this blur nor noise can explain it.
+    """
     light = np.asarray(reference, np.float64) - (0 if dark is None else np.asarray(dark, np.float64))
     background, peak = np.percentile(light, (BACKGROUND_PERCENT, PEAK_PERCENT))
     light, peak = light - background, peak - background

@@ -48,7 +48,10 @@ class Linearity(Checked):
         return np.asarray(within * (1 + within * (square + within * cube)) + (signal - within) * end)
 
     def slope(self, signal: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-        """Change of the light with the signal, counts above the dark, (...); its square is that of the variance."""
+        """Change of the light with the signal, counts above the dark, of any shape.
+
+        Its square turns the variance of the signal into that of the light.
+        """
         square, cube, highest, _ = (signal.dtype.type(each) for each in self.curve)
         within = np.minimum(signal, highest)
         return np.asarray(1 + within * (2 * square + within * 3 * cube))

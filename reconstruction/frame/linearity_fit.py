@@ -114,7 +114,10 @@ class Exposures:
 
 
 class _Fit:
-    """Least-squares fit of curve, beginning of the exposures, flicker and drift, and light of each bin."""
+    """Least-squares fit of curve, beginning of the exposures, drift and light of each bin.
+
+    Exposures of the same length tell flicker and drift, whatever the curve is.
+    """
 
     def __init__(self, moments: Floats, variance: Floats, time: Floats, level: NDArray[np.intp]) -> None:
         self._moments, self._time = moments, time  # (exposure, power, bin), (exposure,)

@@ -61,7 +61,10 @@ class TransferCurve:
 
     @property
     def loss(self) -> float:
-        """Share of the variance per count lost from dim to bright pixels, as by saturation or gamma; 0 for a line."""
+        """Share of the variance per count that is lost from dim to bright pixels, beyond chance; 0 for a line.
+
+        Saturation or a gamma below 1 compress bright counts, and their noise more.
+        """
         if self._bend is None:
             return 0.0
         bend, error = self._bend
@@ -156,7 +159,10 @@ def beyond_optics(light: Image, blur_px: float) -> tuple[Image, float] | None:
 
 
 def image_transfer(light: Image, blur_px: float) -> TransferCurve | None:
-    """Noise of an image (row, column), above the dark, from what no optics shows; None if there is too little."""
+    """Estimate the noise of one image (row, column), counts above the dark, from what no optics shows.
+
+    There is only noise, which is white. None if the pixels are too coarse, or the image has hardly any noise.
+    """
     if (found := beyond_optics(light.astype(np.float64), blur_px)) is None:
         return None
     noise, share = np.asarray(found[0], np.float64), found[1]

@@ -53,7 +53,10 @@ class DarkSubtractor:
         self._subtracted(compiled_counts(np.zeros(shape, np.uint16)))  # compile now instead of at the first frame
 
     def __call__(self, image: Counts, name: str) -> tuple[Image, Booleans]:
-        """Light and saturated pixels of an image (row, column), counts; `ReconstructionError` if it is unusable."""
+        """Light of an image (row, column), counts, and its saturated pixels, the same shape.
+
+        `ReconstructionError`, which says `name`, if it has another size, infinite or no grey values, or is saturated.
+        """
         self._check(image, name)
         light, saturated, full = self._subtracted(_finite(image, name))
         require_unsaturated(full, image.size, name)

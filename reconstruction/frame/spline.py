@@ -44,7 +44,7 @@ def spline_coefficients(image: NDArray[np.uint16] | Image) -> Image:
 
 
 def shared_coefficients(image: NDArray[np.uint16] | Image) -> tuple[Image, Callable[[], None]]:
-    """Coefficients of an image (row, column), all there once one of the threads that share the work returns."""
+    """Coefficients of an image (row, column), and the work for threads to share: all there when one call returns."""
     light = np.require(image, np.float32, ("C", "W"))  # so that Numba compiles one signature only
     coefficients, counters = np.empty(light.shape, np.float32), new_counters()
     rows, columns = light.shape
@@ -148,7 +148,7 @@ def _interpolate_evenly(coefficients: Image, start_px: Floats, steps_px: Floats,
 
 
 def noise_power(position_px: Floats) -> Floats:
-    """Variance of interpolated white noise over a pixel's, at positions (..., xy): 1 on one, 0.76 between two."""
+    """Variance of interpolated white noise over a pixel's, at positions (..., xy): 1 on pixels, 0.76 between two."""
     fraction, power = _noise_power_table()
     along = np.interp(np.mod(position_px, 1.0), fraction, power)
     return np.asarray(along[..., 0] * along[..., 1])

@@ -101,7 +101,10 @@ class CellMatch:
 
 
 def match_cells(cells: Cells, *, brightest: int) -> CellMatch:
-    """Compare each cell with the median of the lit: a tenth of the `brightest`-th's light, and beyond noise."""
+    """Compare every cell with the typical one, the median of the lit cells scaled to equal brightness.
+
+    A cell is lit if it has a tenth of the light of the `brightest`-th cell, and significantly more than noise.
+    """
     light = cells.light - cells.light.mean(axis=(1, 2), keepdims=True, dtype=np.float32)
     flat = light.reshape(len(light), -1)
     typical = flat.mean(axis=0)

@@ -23,7 +23,11 @@ _DEPENDENT = 1e-4  # eigenvalue over the largest, below which a command shows to
 
 @dataclass(frozen=True, slots=True)
 class Corrector:
-    """Shapes of a corrector over the rays' rectangle: Legendre or Zernike modes, or a square grid of Gaussians."""
+    """Shapes that a corrector can take over its footprint: the rectangle that rays meet.
+
+    Legendre polynomials over the footprint, Zernike polynomials over the circle around it, or Gaussian influences of
+    a square grid of actuators.
+    """
 
     influence: Influence
     count: int  # of modes, the piston included, or of actuators
@@ -75,7 +79,7 @@ class Correction:
         return np.tensordot(self.command, shapes, axes=1)
 
     def phase_map(self, pixels: int) -> tuple[Floats, Floats, Floats]:
-        """Positions x (column,) and y (row,) on the footprint, m, and phase there (row, column), without piston."""
+        """Positions x (column,), y (row,), m, and phase (row, column) without piston; `pixels` on the longer side."""
         x_m, y_m = (
             np.linspace(-half_m, half_m, max(2, round(pixels * half_m / max(self.half_width_m))))
             for half_m in self.half_width_m

@@ -97,7 +97,10 @@ class LayerDesign:
 
 
 class LayerModes:
-    """Projection of a layer's Legendre polynomials, as `legendre_orders`, on pupil modes times field modes."""
+    """Projection of a layer's polynomials on pupil modes times field modes.
+
+    Both are Legendre polynomials P_i(x) P_j(y) without the constant, ordered as `legendre_orders`.
+    """
 
     def __init__(self, degree: int, sensor: Sensor, field: Field, field_modes: FieldModes) -> None:
         self._orders = layer_orders(degree)  # (k, xy)
@@ -198,7 +201,10 @@ def prior_scale(degree: int) -> Floats:
 
 
 def principal(gram: Floats) -> tuple[Floats, Floats]:
-    """Singular values (n,), 0 for what is not shown, and vectors (n, n) of a matrix in units of the prior."""
+    """Singular values, (n,), and vectors, (n, n), of a normal matrix (n, n) in units of the prior.
+
+    What the displacements do not show has the value 0: it keeps the prior's variance.
+    """
     square, vectors = np.linalg.eigh(gram)
     return np.sqrt(np.where(square > UNSEEN * square[-1], square, 0.0)), vectors
 

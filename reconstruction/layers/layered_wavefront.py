@@ -192,7 +192,10 @@ class LayeredWavefronts:
         return _Fit(design, equations, estimate, values, design.wavefronts @ values.astype(np.float32))
 
     def _rows(self, ratios: tuple[float, ...]) -> Floats:
-        """Whitened displacements of each polynomial in units of the prior, (L * K, k), in double precision."""
+        """Whitened displacements of each polynomial in units of the prior, (L * K, k).
+
+        In double precision: the prior makes small eigenvalues count, and layers close to each other differ little.
+        """
         degree = self.solver.degree
         rows = np.concatenate([self.solver.rows(ratio, degree) * prior_scale(degree) for ratio in ratios], axis=2)
         return rows.reshape(-1, rows.shape[2])
@@ -225,7 +228,10 @@ class LayeredWavefronts:
         return _Equations(singular, vectors, Spread(components, known))
 
     def _shift_sigmas(self, sample: AssumedSample, frame: Whitened, fit: _Fit) -> float:
-        """Shift of the layers, in standard errors by their ratios and this frame, that best explains the rest."""
+        """Shift of the layers that would explain the rest of the displacements best, in standard errors.
+
+        The errors are those of the assumed ratios and of this frame, see `ExpectedErrors.variance`.
+        """
         columns, polynomials, along, own = self._slopes(self._per_ratio, sample.ratios, frame.share.tobytes())
         (singular, vectors, _), estimate, alone = fit.equations, fit.estimate, np.eye(len(sample.ratios))
         low = len(own) // len(alone)  # of each layer

@@ -60,7 +60,7 @@ def layered_basis(pupil_products: Floats, field_products: Floats, scale: Floats,
 def layered_wavefronts(
     sensor: Sensor, modes: PupilModes, field_modes: FieldModes, parameters: Floats
 ) -> Callable[[Floats], Floats] | None:
-    """`layered_basis` of a scale (pupil_mode - 1, field_mode), without piston; None if the warp may rotate."""
+    """`layered_basis` of a scale (pupil_mode - 1, field_mode), without piston; None if the warp (K, 2Q) may rotate."""
     if not isinstance(field_modes, PolynomialModes):
         return None
     gradients = gradient_basis(field_modes)

@@ -74,7 +74,7 @@ def legendre_slopes(x: Floats, degree: int) -> Floats:
 
 @cache
 def legendre_projection(degree: int, exact: int) -> tuple[Floats, Floats]:
-    """Nodes (node,) and weights (node, degree + 1), read-only, of P_0 ... P_degree, exact up to degree `exact`."""
+    """Projection on P_0 ... P_degree: nodes (node,), weights (node, degree + 1), read-only; exact to degree `exact`."""
     nodes, weights = series.leggauss((exact + degree) // 2 + 1)
     project = series.legvander(nodes, degree) * weights[:, None] * (np.arange(degree + 1) + 0.5)
     nodes.flags.writeable = project.flags.writeable = False

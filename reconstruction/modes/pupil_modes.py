@@ -49,7 +49,10 @@ class Basis:
 
 
 def pupil_modes(sensor: Sensor, basis: PupilBasis, count: int | None) -> PupilModes:
-    """The first `count` modes of one of the `BASES`, piston first, or up to 16 degrees as lenslets allow."""
+    """Modes of one of the `BASES`, piston first; `ReconstructionError` if there is no such basis.
+
+    Without a `count`, all modes of a degree below the number of lenslets a side, and at most 16.
+    """
     if basis not in BASES:
         raise ReconstructionError(f"there is no basis {basis}: it must be {' or '.join(BASES)}")
     if count is None:
@@ -82,7 +85,7 @@ BASES: dict[PupilBasis, Basis] = {
 
 
 def aperture_rule(arrangement: Arrangement) -> tuple[Floats, Floats]:
-    """Positions, in pitches, (node, xy), and weights of a mean over an aperture, exact for a gradient's mode."""
+    """Gauss-Legendre positions, pitches, (node, xy), weights (node,), of an aperture mean, exact to degree 16."""
     nodes, weights = series.leggauss(_HIGHEST_DEGREE // 2 + 1)
     if arrangement == "square":
         x, y = (grid.ravel() / 2 for grid in np.meshgrid(nodes, nodes))

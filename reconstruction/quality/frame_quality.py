@@ -243,7 +243,10 @@ class QualityChecker:
         return _rms(deformation), _rms(away)
 
     def _slope_misfit_px(self, displacement: Displacement, variance: Floats) -> float:
-        """RMS misfit, px, of mean displacements with that `variance` to the best smooth wavefront, beyond noise."""
+        """RMS misfit of the mean displacements to the best smooth wavefront, beyond the noise, px.
+
+        `variance` (lenslet_row, lenslet_column) of the mean displacements, px^2.
+        """
         square = freedom = 0.0
         all_valid = displacement.valid
         for tile in self._tiles:

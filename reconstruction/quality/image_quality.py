@@ -68,7 +68,11 @@ def psf(phase: Floats, sensor: Sensor, *, angle_rad: Floats) -> Floats:
 
 
 def mtf(phase: Floats, sensor: Sensor) -> Mtf:
-    """Modulation transfer of wavefronts (..., lenslet_row, lenslet_column), rad, NaN where unknown, and its limit."""
+    """Modulation transfer of wavefronts, and its diffraction limit: the pupil's autocorrelation.
+
+    Frequency s / wavelength corresponds to pupil points a distance s apart. Tilt has no effect. The phase is
+    (..., lenslet_row, lenslet_column), rad, NaN where unknown.
+    """
     field = _transmission(aligned(phase, sensor.arrangement))
     rows, columns = phase.shape[-2:]
     return Mtf(
@@ -82,7 +86,10 @@ def mtf(phase: Floats, sensor: Sensor) -> Mtf:
 
 
 def psf_reach_rad(phase: Floats, sensor: Sensor) -> float:
-    """Angle of nearly all light of wavefronts (..., lenslet_row, lenslet_column), rad, by slopes and diffraction."""
+    """Angle, rad, within which nearly all light of wavefronts (..., lenslet_row, lenslet_column), rad, arrives.
+
+    From the slopes between neighbouring lenslets, plus diffraction. NaN if no two neighbours are known.
+    """
     views = aligned(phase, sensor.arrangement).reshape(-1, *phase.shape[-2:])
     along_x, along_y = np.diff(views) / sensor.lenslet_pitch_m, np.diff(views, axis=1) / sensor.row_spacing_m
     slopes = np.abs(np.concatenate([each.reshape(len(views), -1) for each in (along_x, along_y)], axis=1))
@@ -105,7 +112,7 @@ def diffraction_rad(sensor: Sensor) -> float:
 
 
 def _transmission(phase: Floats) -> NDArray[np.complex64]:
-    """exp(i phase) at the samples, (..., sample_row, sample_column), single precision; zero where unknown."""
+    """exp(i phase) at the samples, (..., sample_row, sample_column), 0 where unknown, to 1e-6 in single precision."""
     rows, columns = phase.shape[-2:]
     fine = _to_samples(rows) @ extrapolate(phase) @ _to_samples(columns).T
     transmits = np.repeat(np.repeat(np.isfinite(phase), SAMPLES, axis=-2), SAMPLES, axis=-1)

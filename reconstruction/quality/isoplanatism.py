@@ -19,7 +19,7 @@ _ACROSS = 7  # positions across the field
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StructureCurve:
-    """RMS difference of wavefronts without piston of all pairs of positions, by separation; NaN if unknown."""
+    """RMS difference of wavefronts without piston of all pairs of positions, by separation; NaN if none is known."""
 
     separation_m: Floats  # root mean square of the pairs in the bin, (separation,), rising
     rms_rad: Floats  # root mean square over the pairs in the bin, (separation,)
@@ -28,7 +28,7 @@ class StructureCurve:
 
     @property
     def patch_m(self) -> float:
-        """Separation of 1 rad RMS difference, from (0, 0) on; infinite beyond the field, NaN if nothing is known."""
+        """Separation of 1 rad RMS difference, linear from (0, 0); infinite beyond the field, NaN if unknown."""
         known = np.isfinite(self.rms_rad)
         if not known.any():
             return float("nan")
@@ -77,7 +77,10 @@ def field_cell_middles_m(field: Field, across: int) -> Floats:
 
 
 def structure_curve(phase: Floats, position_m: Floats, *, bin_m: float) -> StructureCurve:
-    """Compare pairs of wavefronts (position, lenslet_row, lenslet_column), rad, in bins of their separation."""
+    """Compare all pairs of wavefronts (position, lenslet_row, lenslet_column), rad, over lenslets known in both.
+
+    `position_m` is (position, xy). Bins are `bin_m` wide, centred on multiples of it.
+    """
     first, second = np.triu_indices(len(phase), 1)
     difference_rad = _differences(without_piston(phase).reshape(len(phase), -1))[first, second]
     separation_m = np.hypot(*(position_m[first] - position_m[second]).T)
@@ -109,7 +112,7 @@ def _differences(phase: Floats) -> Floats:
 
 
 def global_error_rad(phase: Floats) -> float:
-    """RMS difference of wavefronts (position, lenslet_row, lenslet_column), rad, from their mean; NaN if unknown."""
+    """RMS of wavefronts (position, lenslet_row, lenslet_column), rad, about their mean; NaN if none is known in all."""
     return _root_mean_square(rms(phase - np.mean(phase, axis=0)))
 
 

@@ -143,7 +143,10 @@ def _shown(light: Image | Floats, lattice: Lattice, sensor: Sensor, samples: int
 
 
 def leaked_light(dark: Floats, light: Floats) -> float:
-    """Share of the reference's light (row, column) in the dark, by regression; 1 if the dark is brighter."""
+    """Share of the reference's light in the dark, by regression; 1 if the dark is brighter.
+
+    Both are (row, column), counts; `light` is the reference minus the dark.
+    """
     away = light - light.mean()
     square = float(np.vdot(away, away))
     if light.mean() <= 0 or square == 0:

@@ -77,7 +77,7 @@ def sequence_quality(before: Counts, frame: Counts, elapsed_s: float) -> Quality
 
 
 def repeated_reference(frame: Counts, reference: Counts) -> Quality:
-    """Find a frame that is the reference, both (row, column), but for rounding: noise makes exposures differ."""
+    """Find a frame that is the reference, both (row, column), perhaps rounded to counts: exposures differ in noise."""
     reason = "frame and reference are the same image: choose another frame" if _are_same(frame, reference) else ""
     return Quality.of(Fault.FROZEN, reason)
 

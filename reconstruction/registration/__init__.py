@@ -13,7 +13,10 @@ from reconstruction.settings import Method, RegistrationSettings
 
 
 def chosen(settings: RegistrationSettings, reference: ReferenceSubimages) -> tuple[RegistrationSettings, str]:
-    """Settings with the method that suits a reference of spots or warps, and why; as they are if they choose."""
+    """Settings with the method that suits a reference if they leave it open, and why; else themselves, and "".
+
+    A spot shows where it lies, and no warp.
+    """
     if settings.named_method != "automatic":
         return replace(settings, method=settings.named_method), ""
     sigma_px = spot_sigma_px(reference)

@@ -110,7 +110,7 @@ def measure_circulation(displacement: Displacement, half_width_px: float) -> Cir
 
 
 def _hidden(covariance: Floats) -> Floats:
-    """Variance of displacements hidden by the source, (L, 2Q, 2Q), for which the `covariance` has zero."""
+    """Variance of displacements left out because the source hides them, (L, 2Q, 2Q), where `covariance` is zero."""
     total = np.einsum("lkk->l", covariance)
     values, vectors = np.linalg.eigh(np.mean(covariance / total[:, None, None], axis=0))
     left_out = vectors[:, values < _NOTHING]

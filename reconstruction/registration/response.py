@@ -152,7 +152,10 @@ _ITERATIONS_PER_POINT = 30
 
 
 def mean_subimage(reference: ReferenceSubimages) -> tuple[Floats, Floats]:
-    """Mean subimage of lit lenslets, sum 1, (width, width), and each lenslet's light, counts; 0 where dark."""
+    """Mean subimage of lit lenslets, of unit sum, (width, width), and the light of each, counts.
+
+    The light is (lenslet_row, lenslet_column); 0 where the lenslet is dark. `ReconstructionError` if there is none.
+    """
     light = np.where(reference.lit, np.sum(reference.light, axis=1), 0.0)
     light = np.maximum(light, 0.0)
     total = np.sum(light)

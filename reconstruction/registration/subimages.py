@@ -34,7 +34,7 @@ class LensletModel(Protocol):
     position: Floats  # of the object points, normalised, (point, xy)
 
     def image(self, brightness: Floats | float = 1.0) -> Floats:
-        """Image without a sample, (row, column), a share of the lenslet's light, of points times `brightness`."""
+        """Image without a sample, (row, column), a share of the light; `brightness` (point,), or one, scales it."""
         ...
 
     def derivatives(self, degree: int, values: Floats, gradients: Floats, own: tuple[int, int] | None = None) -> Floats:
@@ -212,7 +212,7 @@ class ReferenceSubimages:
         return np.asarray(self.bad | rim)
 
     def _usable(self, is_cut: Booleans) -> Booleans:
-        """True for window positions (L, N) with no bad pixel around them, (L,) of cut lenslets inside the rim."""
+        """True for window positions (L, N) without bad pixels around; of cut lenslets (L,), also inside the rim."""
         usable = np.ones(self.position_px.shape[:2], np.bool_)
         usable[is_cut] = self._is_on_frame(self.position_px[is_cut], _RIM_PX)
         if self.bad.any():

@@ -283,7 +283,7 @@ class ModalSolver:
             self._equations(self._down_dated, self.errors.is_usable.astype(np.float64).tobytes())  # fails early
 
     def __call__(self, displacement: Displacement, *, weights: Floats | None = None) -> ModalSolution:
-        """Fit the displacements of the valid lenslets in the pupil with `weights` relative to those expected."""
+        """Fit valid lenslets in the pupil; `weights` (lenslet_row, lenslet_column), default 1, scale those expected."""
         frame = self.errors.whitened(displacement, weights)
         equations, components = self._components(frame)
         estimate = components.estimate() if self._is_smooth else self._without_prior(components)
@@ -352,7 +352,7 @@ class ModalSolver:
         return _Equations(singular, vectors, Spread(components, known))
 
     def _seen(self, square: Floats, vectors: Floats) -> tuple[Floats, Floats]:
-        """Singular values (n,) and vectors of components that are shown, or that have the variance of a prior."""
+        """Singular values (n,) and vectors of the components shown; a prior adds the others, with its variance."""
         least = max(square[-1], _TINY)
         if self._is_smooth:
             return np.sqrt(np.maximum(square, _NOTHING * least)), vectors

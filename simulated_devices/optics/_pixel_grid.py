@@ -60,7 +60,10 @@ class PixelGrid:
     def evaluate(
         self, waves: Image, run: Callable[[Callable[[int], None], Iterable[int]], Iterable[None]] = map
     ) -> Image:
-        """Images (point, row, column) from `waves` (lenslet, point, y wave, x wave), one lenslet for all if alone."""
+        """Images of object points, (point, row, column), from their `waves`, (lenslet, point, y wave, x wave).
+
+        A single lenslet is used for all. `run` maps a function over lenslets, in parallel if wanted.
+        """
         images = np.zeros((waves.shape[1], self._shape[0] * self._shape[1]), np.float32)
         bounds = list(pairwise([0, *self._ends]))
 

@@ -223,7 +223,7 @@ class ForwardModel:
         return np.asarray(self._pixels.evaluate(waves[:, None])[0])
 
     def point_irradiances(self, position_m: Floats, field: PointField | None = None) -> Image:
-        """Images (point, row, column) of object points (point, xy): `irradiance` for 1 m^2 each."""
+        """Images (point, row, column) of points (point, xy): `irradiance` for 1 m^2 each; 16 points take 40 MB."""
         lenslets = (1, 1) if field is None else (self._lenslet_rows, self._lenslet_columns)
         n = self._samples
         waves = np.empty((lenslets[0] * lenslets[1], len(position_m), 2 * n - 1, 2 * n - 1), np.float32)

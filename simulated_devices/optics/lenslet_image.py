@@ -29,7 +29,10 @@ _NOTHING = 1e-12  # singular value of an aperture, over the largest, that is rou
 
 
 class LensletImage:
-    """Model of one lenslet with its source on a window `width` px wide about its axis; a `LensletModel`."""
+    """Model of one lenslet with its source, on a square window about its axis; a `LensletModel`.
+
+    `width` is the side of the window, px; `pupil_samples` and `pixel_fill_factor` are those of `ForwardModel`.
+    """
 
     def __init__(
         self,

@@ -35,7 +35,10 @@ def write_matrix(path: Path, model: ForwardModel, position_m: Floats, field: Poi
 
 
 def multiply(path: Path, area_m2: Floats) -> NDArray[np.float32]:
-    """Irradiance (row, column), m^2, of an emitting area (m^2) at each point of a matrix, as `ForwardModel`'s."""
+    """Irradiance (row, column), m^2, of an object with that emitting area (m^2) at each point of a written matrix.
+
+    Equals `ForwardModel.irradiance` of these points to rounding; `SourcePoints.area_m2` is such an object.
+    """
     matrix = np.load(path, mmap_mode="r")
     points = f"an object must be one emitting area for each of the {len(matrix)} points"
     require({points: area_m2.shape == (len(matrix),)})

@@ -22,7 +22,10 @@ _T = TypeVar("_T", bound=np.generic)
 
 
 class PhaseScreen:
-    """Interpolated phases (row, column), rad, centred on the axis; a position outside raises `ValueError`."""
+    """Phases with an interpolating spline; a position outside the screen raises `ValueError`.
+
+    `samples_rad` is (row, column), rad, centred on the axis; `sample_spacing_m` is the same along x and y.
+    """
 
     def __init__(self, samples_rad: Floats, sample_spacing_m: float) -> None:
         samples_rad = np.array(samples_rad, np.float64)

@@ -74,7 +74,10 @@ class Propagation:
     wavenumber_rad_per_m: float
 
     def __call__(self, field: NDArray[np.complex128], *, sample_spacing_m: float) -> NDArray[np.complex128]:
-        """Propagate a periodic field (row, column) by exp(-i z (kx^2 + ky^2) / 2k): positive slopes move it to +x."""
+        """Propagate a periodic field (row, column).
+
+        A positive phase slope moves light towards +x: the transfer function is exp(-i z (kx^2 + ky^2) / 2k).
+        """
         ky, kx = (2 * math.pi * fft.fftfreq(count, sample_spacing_m) for count in field.shape)
         along_y, along_x = (np.exp(-0.5j * self.distance_m / self.wavenumber_rad_per_m * k**2) for k in (ky, kx))
         spectrum = fft.fft2(field)

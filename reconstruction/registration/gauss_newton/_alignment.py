@@ -287,7 +287,7 @@ def _copy(equations: Floats) -> None:
 
 @inlined
 def _solve(equations: Floats, x: Image) -> bool:
-    """Solve M y = x, M first of (2, P, P), x (P,) becoming y, by pivoted elimination; False if M is singular."""
+    """Solve M y = x by pivoted elimination, M the first of (2, P, P), x (P,) becoming y; False if M is singular."""
     _copy(equations)
     size, matrix = x.size, equations[1]
     for i in range(size):

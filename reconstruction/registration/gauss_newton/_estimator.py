@@ -313,7 +313,10 @@ class GaussNewton:
         start: Displacement | None,
         filter_share: Callable[[], None],
     ) -> Fits:
-        """Fit all lenslets in threads that first compute the spline coefficients of the frame by `filter_share`."""
+        """Fit all lenslets, shared among threads, to a frame given by its spline coefficients.
+
+        `filter_share` computes these, in the same threads: handing over twice would take longer than it saves.
+        """
         reference, grid = self.reference, self._warp.grid
         lenslets, pixels = grid.light.shape
         fits = Fits(

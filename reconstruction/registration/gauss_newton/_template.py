@@ -222,7 +222,10 @@ def respond(template: Template, image: Floats, changes: Floats, own: Sequence[Ow
 
 
 def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) -> Template:
-    """Prepare a warp by its images but for what a brightness explains; without `noise` all pixels weigh alike."""
+    """Prepare a warp, given by its steepest-descent images.
+
+    What a brightness explains is left out. Without `noise` all pixels have equal weight.
+    """
     reference, modes, basis, of_window = images.reference, images.modes, images.basis, images.pixels.ravel()
     flux = 1 / reference.half_width_px if images.conserves_flux else 0.0
     gradients = gradient_basis(modes)
