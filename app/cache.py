@@ -31,7 +31,7 @@ Arrays = Mapping[str, NDArray[Any]]
 
 @contextmanager
 def loading() -> Iterator[None]:
-    """Collect no garbage meanwhile, nor ever what is there at the end, mostly modules: it would take 100 ms."""
+    """Collect no garbage meanwhile, and never look again at what is there at the end: it would take 100 ms."""
     gc.disable()
     try:
         yield
@@ -57,7 +57,7 @@ def cache_folder() -> Path:
 
 
 def cached(kind: str, fingerprint: str, compute: Callable[[], Arrays]) -> Arrays:
-    """Return the cached result of `compute`, or compute it; `fingerprint` represents all that it depends on."""
+    """Return the cached result of `compute`, or compute it; `fingerprint`, a file name, represents all its inputs."""
     path = cache_folder() / kind / f"{fingerprint}.npz"
     kept = _load(path)
     if kept is not None:
@@ -83,7 +83,7 @@ def _load(path: Path) -> Arrays | None:
 
 
 def kept_while_alive(maxsize: int) -> Callable[[Any], Any]:
-    """Cache results for each of the last first arguments while these live; `lru_cache` would keep them alive."""
+    """Cache results for each of the last first arguments while these live; `lru_cache` would keep a closed bench."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
         results: WeakKeyDictionary[Any, dict[tuple[Any, ...], Any]] = WeakKeyDictionary()
@@ -109,7 +109,11 @@ def share_memory_of_threads() -> None:
 
 
 def release_memory() -> None:
-    """Free what nobody refers to any more, and return it to the system; takes some tenths of a second."""
+    """Free what nobody refers to any more, and return it to the system; takes some tenths of a second.
+
+    An acquisition refers to itself, and Python seldom looks for such objects. The GNU library keeps freed memory
+    that lies between pieces in use.
+    """
     gc.unfreeze()
     gc.collect()
     gc.freeze()

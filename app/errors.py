@@ -15,7 +15,10 @@ class InputError(Exception):
 
 
 class Interrupted(BaseException):
-    """The command was ended early: exit status 130; no `Exception`, so that no handler mistakes it for a fault."""
+    """The user or the system ended the command early; the text says what was saved. Exit status 130.
+
+    Not an `Exception`, so that no handler mistakes it for a fault.
+    """
 
 
 class RunError(Exception):

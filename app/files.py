@@ -182,7 +182,10 @@ def require_suffix(path: Path, *suffixes: str, kind: str = "name") -> None:
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield an unpredictable file that, written and synced, replaces `path`, and is deleted on failure (atomic)."""
+    """Yield an empty file that replaces `path` on success and is deleted on failure (atomic write).
+
+    Its name cannot be predicted, so that nobody else can put a link there. It is on the disk before it replaces `path`.
+    """
     if not path.name or (path.exists() and not path.is_file()):
         raise RunError(f"{path}: not a file that can be written")
     target = reachable(path)

@@ -62,7 +62,7 @@ def name_of(path: Path) -> str:
 
 
 def read_image(path: Path) -> NDArray[Any]:
-    """Read a grey image (row, column) at an `ImagePlace`, by its first bytes; `InputError` if it holds none."""
+    """Read a grey image (row, column), or three equal channels, at an `ImagePlace`; `InputError` if there is none."""
     place = place_of(path)
     check_readable(place.file)
     try:
@@ -219,7 +219,10 @@ def is_container(start: bytes, path: Path) -> bool:
 
 
 def read_array(start: bytes, path: Path, name: str, index: int | None) -> NDArray[Any]:
-    """Read the array with a name, or the only one, of a stack that with an index; `ValueError` says what to name."""
+    """Read the array with a name, without one the only image, and of a stack the image with an index.
+
+    Stacks lie along the last axis in MAT files, else along the first. `ValueError` says what to name instead.
+    """
     opened = _opened_mat if path.suffix.lower() == ".mat" or start.startswith(_MAT) else _opened_npz
     in_matlab = start.startswith(_MAT_IN_HDF5)
     if in_matlab or start.startswith(_HDF5):
@@ -331,7 +334,11 @@ def write_stack(
     pixel_um: float,
     interval_s: float | None = None,
 ) -> None:
-    """Write images (row, column), one for each label, as a BigTIFF for ImageJ: tifffile's own mode ends at 4 GB."""
+    """Write images (row, column) of one size and type, one for each label, as BigTIFF for ImageJ.
+
+    tifffile's own ImageJ mode ends at 4 GB; this writes the same description and tags into a BigTIFF. ImageJ shows
+    `labels` above the images, and `information` under Image > Show Info. With an interval they are a film.
+    """
     remaining = iter(images)
     first = next(remaining)
     shape, film = (len(labels), *first.shape), dict[str, Any]({} if interval_s is None else {"finterval": interval_s})

@@ -245,7 +245,7 @@ class Camera(Device):
 
     @contextmanager
     def paused(self) -> Iterator[Self]:
-        """Stop a running camera for a `with` block and restart it then, also after an error, unless it is lost."""
+        """Stop a running camera for a `with` block, and restart it also after an error, unless it is lost or closed."""
         was_running = self.is_running
         self.stop()
         try:

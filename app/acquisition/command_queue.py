@@ -73,7 +73,7 @@ class CommandQueue:
         return not self._waiting
 
     def next(self, timeout_s: float = 0.0) -> Callable[[Instrument], None] | None:
-        """Remove the next command, to be called by the worker; None if none arrives within `timeout_s`."""
+        """Remove the next command, which raises only what ends the worker; None if none arrives in `timeout_s`."""
         if self.is_empty and not timeout_s:  # without the lock: between two frames nothing may wait for it
             return None
         with self.lock:

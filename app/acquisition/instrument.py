@@ -355,7 +355,10 @@ class Instrument:
         return before.by, "" if returning is None else returning.state("").how
 
     def undo(self) -> str:
-        """Restore what the last dark, reference or change replaced, and return what; again, and that returns."""
+        """Restore what the last dark, reference or change of the bench replaced; again, and that returns.
+
+        Return what was taken back; `WrongState` if nothing was replaced.
+        """
         before = self._last_replaced()
         self._remember(before.by)
         self.bench, self._lattice = before.bench, before.lattice

@@ -49,7 +49,7 @@ _STATUS_SHARE = 0.1  # maximum share of the time spent polling: a slow light mus
 
 
 class Acquisition(Commands):
-    """The worker thread, with a recorder; it alone calls devices, but to switch the light off."""
+    """The worker thread, with a recorder; it alone calls devices, but to switch the light off. Any thread may ask."""
 
     def __init__(
         self,

@@ -57,7 +57,10 @@ class _DoneBlock:
 
 
 def check_batch(folders: Sequence[Path], out: Path, job: BatchJob) -> tuple[list[BatchInput], Batch]:
-    """Return the complete recordings of a batch, and the others in a `Batch`; `InputError` if none can be used."""
+    """Check what a batch reads; return the complete recordings, and the others in a `Batch`.
+
+    `InputError` if no recording can be used, `out` cannot be the store of this job, or its settings fit no recording.
+    """
     for folder in folders:
         if out.resolve().is_relative_to(folder.resolve()):
             raise InputError(f"{out}: lies in the recording {folder}: give the results another place")
@@ -92,7 +95,12 @@ def _check_settings(sources: Sequence[BatchInput], settings: tuple[str, ...]) ->
 
 
 def run_batch(folders: Sequence[Path], out: Path, job: BatchJob, evaluate: Evaluate, progress: Progress) -> Batch:
-    """Reconstruct the missing blocks of recordings, by `evaluate` here or on workers, into the store `out`."""
+    """Reconstruct the missing blocks of recordings into the store `out`, which is made if necessary.
+
+    `evaluate` calls a function with each block, here or on workers that see the same folders. `InputError` if no
+    recording can be used, or the store is of another job; `RunError` if nothing can be written, or the workers are
+    lost; `Interrupted` on Ctrl-C. What was finished stays, and the text says how much that is.
+    """
     sources, batch = check_batch(folders, out, job)
     with _only_writer(out):
         store = _opened(out, job, sources, evaluate, progress)
@@ -250,5 +258,5 @@ def _prepared(source: BatchInput, job: BatchJob) -> Reprocessing:
 
 
 def dask_setup(_worker: object) -> None:
-    """Ignore Ctrl-C, which a terminal sends to all processes; Dask calls this as a worker loads this module."""
+    """Ignore Ctrl-C, sent to all processes: the command stops its workers. Dask calls this as a worker starts."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)

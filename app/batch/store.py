@@ -174,7 +174,7 @@ class ResultStore:
         return int(np.count_nonzero(np.asarray(self._arrays[STATE][number, : source.frames]) == WAVEFRONT))
 
     def write(self, number: int, frames: range, pieces: Iterable[xr.Dataset], damaged: Iterable[int]) -> None:
-        """Write the results of one block; its `pieces` fill in the indices of `damaged` frames meanwhile."""
+        """Write the results of one block; `pieces` adds the indices of damaged frames to `damaged` meanwhile."""
         values: dict[str, NDArray[Any]] = {
             name: np.full((len(frames), *array.shape[2:]), array.fill_value, array.dtype)
             for name, array in self._of_frames.items()

@@ -41,7 +41,7 @@ class Workers:
         self._client = client
 
     def __call__(self, function: Callable[[T], R], items: Iterable[T]) -> Iterator[tuple[T, R | Exception]]:
-        """Yield each item with its result or error as they finish; `RunError` where the scheduler was lost."""
+        """Yield each item with its result or error as they finish; `RunError` if the scheduler is lost before."""
         from distributed import as_completed
 
         remaining = iter(items)
@@ -84,7 +84,11 @@ def _outcome(future: Any) -> Any:
 
 @contextmanager
 def workers(count: int | None, scheduler: str | None) -> Iterator[Workers]:
-    """Start `count` workers, by default one for each core, with TLS, or connect to a scheduler's address."""
+    """Start `count` workers, by default one for each core, or connect to the scheduler at an address.
+
+    Processes started here accept only connections with a certificate of this run (TLS). `InputError` if Dask is not
+    installed, or both are given, `RunError` if there is no scheduler at the address.
+    """
     if count is not None and scheduler is not None:
         raise InputError("--workers starts processes here, --scheduler uses the workers of a cluster: give one option")
     if scheduler is not None:

@@ -40,7 +40,7 @@ def written_by(source: object, software: object) -> Iterator[None]:
 
 
 def bench_file(source: str | Path) -> Path:
-    """Return the file of a bench: a plain word is a preset, whatever the working directory holds."""
+    """Return the file of a bench: a plain word is a preset, all else a path; `InputError` if there is no such bench."""
     path, name = Path(source), str(source)
     known = f"give a bench TOML or a preset ({', '.join(PRESETS)})"
     try:

@@ -219,7 +219,7 @@ def as_bench(bench: object) -> Bench:
 
 
 def parse_bench(text: str, name: str, overrides: tuple[str, ...] = ()) -> Bench:
-    """Parse a bench from TOML text, with "section.key=value" changes; `BenchError` names key, limit and line."""
+    """Parse a bench from TOML text and "section.key=value" overrides; `BenchError` gives key, allowed values, line."""
     try:
         tree = tomllib.loads(text)
     except (ValueError, RecursionError) as error:

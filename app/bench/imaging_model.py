@@ -31,7 +31,7 @@ _LEAST_SAMPLES = 4  # that the forward model accepts
 
 
 def lenslet_model(bench: Bench, reference: ReferenceSubimages) -> LensletImage:
-    """Model of one lenslet with the source that the reference shows; `ReconstructionError` if it shows none."""
+    """Model of one lenslet with the source that the reference shows; `ReconstructionError` if that allows no model."""
     return lenslet_image(bench, measured_source(reference, bench), reference.width, _pupil_samples(reference))
 
 

@@ -47,7 +47,7 @@ _MOST = 10**300  # larger integers are no better
 
 
 def read_section(cls: Any, values: object, path: str) -> Any:
-    """Read a section as TOML has it, whole numbers also as floats; `SettingError` names the first wrong key."""
+    """Read a section as TOML has it, whole numbers also as floats; `SettingError` has the first wrong key's path."""
     from pydantic import ValidationError
 
     try:

@@ -236,7 +236,10 @@ def write_found(bench: Bench, name: str, source: str, path: Path) -> None:
 
 
 def bench_text(text: str, bench: Bench, name: str = "lattice") -> str:
-    """Insert what is new in `bench` into its TOML text, keeping the comments if it then reads back the same."""
+    """Insert the lattice and omitted counts, or the linearity, of `bench` into its TOML text, keeping the comments.
+
+    If the result would not read back to the same bench, for example after --set, the whole bench is written anew.
+    """
     import tomli_w
 
     from app.bench.config import parse_bench, write_bench

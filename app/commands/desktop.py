@@ -48,7 +48,11 @@ def desktop(
 
 
 def add_entry(bench: str | None) -> Path:
-    """Add or replace the present user's entry, which opens a bench, and return its file; `InputError` if wrong."""
+    """Add the entry for the present user, replacing an older one, and return its file.
+
+    It opens a bench file or preset; None is the command's own default. `InputError` if that cannot be used, or this is
+    macOS, `RunError` if `svwfs-window` is not installed, or the entry cannot be written.
+    """
     from app.bench.bench_files import bench_file
     from app.bench.config import load_bench
 

@@ -36,7 +36,10 @@ _HIDDEN = "(serial number)"
 
 
 def check_and_print(name: str, bench: Bench | None = None, *, serial_numbers: bool = False) -> None:
-    """Check a device, or a bench's "camera" or "light", and print a public report; `RunError` if it fails."""
+    """Check a device against the contract of its kind, and print a report; `RunError` if it fails.
+
+    With a bench, the name is "camera" or "light". The report can be published: serial numbers are hidden by default.
+    """
     section, settings = _connected(name) if bench is None else (name, _configured(bench, name))
     log = _CheckLog(settings, is_open=serial_numbers)
     log.print_versions()

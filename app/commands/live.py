@@ -101,7 +101,11 @@ def live(
 
 
 def bench_window(source: str, overrides: tuple[str, ...], name: str, *, trust: bool, offers_last: bool) -> int:
-    """Run the window on a bench with an instrument that others find by its name; return the exit status."""
+    """Run the window on a bench file or a preset until it is closed, and return the exit status.
+
+    The instrument is a second process, which other clients find by its name. The window shows what is wrong with
+    the file, and opens others; it may offer the one that was open last. `InputError` if only `overrides` are wrong.
+    """
     from app.acquisition.remote.own_instrument import OwnInstrument
     from app.gui.widgets.theme import styled_application
 
@@ -171,7 +175,7 @@ def _attached(name: str) -> tuple[Bench, InstrumentFactory]:
 def headless_window(
     bench: Bench, access: InstrumentFactory, *, seconds: float | None, out: Path, overwrite: bool
 ) -> int:
-    """Run the window for `seconds` after the first wavefront, write its files to `out`, return the exit status."""
+    """Run the window until `seconds` after the first wavefront; write its files to `out`, return the exit status."""
     from app.recording.folder import FRAME_LINES
     from app.results.dataset import result_dataset
     from app.results.result_file import write_results

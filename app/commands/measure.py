@@ -101,7 +101,12 @@ def measure_attached(name: str, out: Path, *, frames: int, progress: Progress, t
 def measure_bench(
     bench: Bench, out: Path, *, frames: int, progress: Progress, average: int | None = None, auto_expose: bool = False
 ) -> Measured:
-    """Record `frames` frames with results, dark and reference into `out`; an early end keeps what there is."""
+    """Record `frames` frames into the folder `out`, with the results, the dark and the reference.
+
+    Dark and reference are means of `average` frames each, by default `FRAMES`; with `auto_expose` the exposure is found
+    first. If it ends early, also by Ctrl-C, the results so far are written. `RunError` for a failed device or an
+    unusable reference, `InputError` for an impossible bench.
+    """
     from app.acquisition.session import LiveBench
 
     live = LiveBench(bench, average=0, progress=progress)

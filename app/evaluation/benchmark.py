@@ -149,7 +149,7 @@ def noisy(frames: TimedFrames, rng: np.random.Generator) -> TimedFrames:
 
 
 def tiled(frames: TimedFrames, lenslets: int, *, margin_px: int = 0) -> TimedFrames:
-    """Tile frames with a dark margin to `lenslets` a side, of whole pixels; their truth is unknown."""
+    """Tile frames with a dark margin to `lenslets` a side; `ValueError` if lenslets of whole pixels do not fit them."""
     sensor, pitch_px = frames.bench.sensor, round(frames.lattice.pitch_px)
     rows, columns = frames.reference.shape
     if (rows, columns) != tuple(count * pitch_px for count in sensor.lenslets):

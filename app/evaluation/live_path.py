@@ -160,7 +160,7 @@ class Span:
 def measure_span(
     run: HeadlessRun, began_s: float, warm_up_s: float, seconds: float, record_into: Path | None = None
 ) -> Generator[None, None, Span]:
-    """Make the steps of a run that began at a time; return a span after the warm-up, or raise its fault."""
+    """Make the steps of a run begun at a time; return a span after the warm-up, or raise `RunError` or `InputError`."""
     acquisition = run.acquisition
     first_s = yield from run.first_wavefront(_GIVE_UP_S)
     acquisition.timings.forget_longest()  # of this process; those of the instrument begin with the recording

@@ -272,7 +272,10 @@ class Brightness:
 
 
 def brightness(pixels: NDArray[np.integer[Any]], cell_px: float) -> Brightness:
-    """Measure a frame (row, column), counts, by the brightest pixel, no hot one, of each square of `cell_px`."""
+    """Measure a frame (row, column), counts, with about one lenslet per square of `cell_px` pixels.
+
+    Each cell contributes its brightest pixel, single hot ones excluded; outlying cells are excluded from the level.
+    """
     light = pixels.astype(np.float32)
     darkest, dark, middle = (float(value) for value in np.percentile(light, (1, 10, 50)))
     of_steps = SIGMA_OF_MEDIAN * float(np.median(np.abs(np.diff(light, axis=1)))) / np.sqrt(2)

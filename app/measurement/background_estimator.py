@@ -236,7 +236,10 @@ class LiveEstimator:
             self._background_estimator.stop()
 
     def solve(self, displacement: Displacement, time_s: float) -> tuple[Wavefront, Assumptions]:
-        """Reconstruct a frame of that time with the newest bias, and the newest sample unless it contradicts that."""
+        """Reconstruct a frame exposed at `time_s`, with the newest sample, and the newest bias if it applies.
+
+        A frame that contradicts the sample, with the bias and without, is solved for any wavefront.
+        """
         found = self._found  # read once: the thread may replace it
         sample = found.sample or FREE
         if found.bias is None:

@@ -39,7 +39,7 @@ Solve: TypeAlias = Callable[[Displacement], tuple[Wavefront, Assumptions]]
 
 
 class Estimator:
-    """Reconstructor, judge and refinement of one calibration, each prepared, or refused, at its first use."""
+    """Reconstructor, judge, refinement of a calibration, prepared at first use; `ReconstructionError` if impossible."""
 
     def __init__(self, calibration: Calibration, *, threads: int = THREADS) -> None:
         """`threads` render the forward model; only a single one always rounds alike."""
@@ -113,7 +113,10 @@ class Estimator:
         rounds: int = 0,
         seen: Callable[[Round], object] = lambda _: None,
     ) -> tuple[Wavefront, Assumptions]:
-        """Solve for displacements, in up to `rounds` that `seen` gets; `sample` None: the displacements' own."""
+        """Solve for displacements, with their own `sample` if None is given.
+
+        The wavefront is refined in at most `rounds`, fewer where it settles; `seen` is called with each.
+        """
         sample = self.reconstructor.find_sample(registered) if sample is None else sample
         step = None
         for step in self.refinement.rounds(registered, rounds, sample) if rounds else ():
@@ -132,7 +135,10 @@ class Estimator:
         absorbs: bool | None = None,
         previous: Frame | None = None,
     ) -> Measurement:
-        """Register, solve and judge a frame, or say why not; `start` and `previous` are of earlier frames."""
+        """Register, solve and judge a frame, or say why that is impossible.
+
+        `start` is an earlier frame's displacement, `previous` the frame before; by default, the frame shows `absorbs`.
+        """
         try:
             with timings.of("register"):
                 registered = self.reconstructor.register(frame.pixels, start=start, absorbs=absorbs)

@@ -23,7 +23,7 @@ _MARGIN = 1.2  # of the exposure that a lower current shall demand
 
 
 def measure_linearity(devices: Devices, cell_px: float, frames: int, callbacks: RoutineCallbacks) -> MeasuredLinearity:
-    """Measure the nonlinearity in the camera's present mode from averages of `frames` frames; restore all."""
+    """Measure the nonlinearity in the camera's mode from means of `frames` frames; `RoutineError` if impossible."""
     camera, light = devices.camera, devices.light
     if isinstance(light, ManualLight):
         raise RoutineError("a light that is switched by hand is not as steady as this needs: connect its driver")

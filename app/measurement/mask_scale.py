@@ -79,7 +79,10 @@ class MaskScale:
 
 
 def mask_scale(bench: Bench, reference: Image) -> MaskScale | None:
-    """Measure the bench's mask in a reference (row, column), counts, in 0.1 s; None if that does not show it."""
+    """Measure the bench's mask in a reference (row, column), counts, in 0.1 s or more; None if that does not show it.
+
+    The bench has the lattice of the reference. `ReconstructionError` if that shows nothing.
+    """
     if bench.lattice is None:
         raise ValueError("the bench needs a lattice")
     source, field = bench.simulation.source, bench.field

@@ -226,7 +226,7 @@ class OfflineReconstructor:
 
 
 def _known_noise(frame: TransferCurve | None, reference: TransferCurve | None) -> KnownNoise:
-    """Noise of a frame, or of the reference if filtered, and the number of frames averaged in the reference."""
+    """Noise of a frame, or of the reference where a filter hides it, and the number of frames averaged in that."""
     of_frame, of_reference = (None if curve is None else curve.noise for curve in (frame, reference))
     if of_frame is None or of_reference is None:
         return KnownNoise(of_frame or of_reference, math.inf if of_frame else 1.0, reference)
@@ -259,7 +259,7 @@ def whole_number(value: object, what: str) -> int:
 
 
 def full_scale_of(image: NDArray[Any], bits: int) -> float:
-    """Saturation level of an image (row, column), counts: that of camera or type; infinite for larger floats."""
+    """Saturation level of an image (row, column), counts: the lower of camera and type; infinite for larger floats."""
     camera = 2.0**bits - 1
     if image.dtype.kind in "ui":
         return min(camera, float(np.iinfo(image.dtype).max))

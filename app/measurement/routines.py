@@ -116,7 +116,7 @@ class DeviceState:
 
 @contextmanager
 def restored(devices: Devices) -> Iterator[DeviceState]:
-    """Restore light, current, stage, exposure and running camera after a `with`; after a fault only the light."""
+    """Restore light, current, stage, exposure and running camera after a `with`; after a fault turn the light off."""
     is_restored = False
     try:
         state = DeviceState.of(devices)

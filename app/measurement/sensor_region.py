@@ -36,7 +36,7 @@ class SensorArea:
 
 
 def set_area(camera: Camera, area: SensorArea) -> SensorArea:
-    """Set a stopped camera's area, its region in whole steps, or restore the one before; return the accepted."""
+    """Set a stopped camera's area, enlarged to whole steps, and return it as accepted; if refused, restore the last."""
     before = SensorArea.of(camera)
     try:
         _write(camera, area)
@@ -59,7 +59,7 @@ def in_steps(region: Region, sensor: Region, step_px: int) -> Region:
 
 
 def moved_bench(bench: Bench, before: SensorArea, after: SensorArea, sensor: Region | None) -> Bench:
-    """Convert a bench to another area of the `sensor`, None if there is one; `BadValue` with too few pixels."""
+    """Convert a bench to another area of the whole `sensor`, None if there is one; `BadValue` with too few pixels."""
     finer, region = before.binning / after.binning, after.region
     settings = {
         "binning": after.binning,
@@ -97,7 +97,7 @@ def moved_lattice(lattice: Lattice, before: SensorArea, after: SensorArea) -> La
 
 
 def region_around(lattice: Lattice, sensor: Sensor, area: SensorArea) -> Region:
-    """Return the region of a lattice in `area` with half a pitch around it; it may extend beyond the sensor."""
+    """Return the region of a lattice, given within `area`, with half a pitch around; it may exceed the sensor."""
     whole = moved_lattice(lattice, area, SensorArea(Region(0, 0, 0, 0), 1))
     corners = _cell_corners_px(whole, sensor).reshape(-1, 2)
     margin_px = _AROUND * whole.pitch_px

@@ -102,7 +102,10 @@ def remove_empty(folder: Path) -> None:
 
 
 def new_folder(wanted: Path) -> Path:
-    """Make a new folder, named with -2, -3, ... if the name, also before a longer one, is taken."""
+    """Make a new folder, named with -2, -3, ... if the name is taken.
+
+    It is taken, too, by a recording of the same second that got a longer name meanwhile.
+    """
     try:
         check_writable(wanted.parent)
         reachable(wanted.parent).mkdir(parents=True, exist_ok=True)
@@ -132,7 +135,7 @@ def _unusable(folder: Path, error: OSError | ValueError) -> InputError:
 
 
 def lock(file: IO[bytes]) -> None:
-    """Lock an open file until it is closed; `InputError` if it is locked, `RunError` on a disk without locks."""
+    """Lock an open file until it closes; `InputError` if it is locked, `RunError` without locks, as on some shares."""
     try:
         if has_locked(file.fileno()):
             return

@@ -72,7 +72,7 @@ class FrameArray:
 
     @classmethod
     def create(cls, store: Path, name: str, values: NDArray[Any]) -> Self:
-        """Make an array for values like these of one frame; "/" as separator gives each chunk a folder (OME-NGFF)."""
+        """Make an array (t, ...) of values like these of one frame; separator "/": a folder per chunk (OME-NGFF)."""
         group, separator = store, "/" if name == PIXELS else "."
         in_chunk = max(1, min(_FRAMES_IN_CHUNK, _CHUNK_BYTES // max(values.nbytes, 1)))
         for part in Path(name).parent.parts:

@@ -88,7 +88,7 @@ class RecordedCamera(Camera):
         return self._line().calibration
 
     def show(self, position: int) -> Frame:
-        """Return the frame at a position at once, or `FrameLost`; playing continues after it."""
+        """Return the frame at a position at once, also while stopped, or `FrameLost`; playing continues after it."""
         self._position, self._due_s = position, self._clock.now()
         return self._play()
 

@@ -303,7 +303,7 @@ class Recorder:
             raise WrongState(why)
 
     def free_minutes(self, folder: Path) -> float:
-        """Time until a folder's disk is full at the present rate; infinite without frames; `OSError` of the disk."""
+        """Time until a folder's disk is full at this rate, or infinite; slow on a network disk, `OSError` on faults."""
         with self._changing:
             arrivals_s = [record.made.frame.host_time_s for record in self._recent]
             nbytes = self._recent_bytes

@@ -58,7 +58,11 @@ class Recovered:
 
 
 def recover(folder: Path, progress: Callable[[float], None] = lambda _: None) -> Recovered:
-    """Finish a recording: set its lengths, put its lines in place, list its damage; `InputError` if it is on."""
+    """Finish a recording: set the length of its arrays and mark it complete; list its damage.
+
+    Damaged frames in the middle stay, so that all others keep their index. Lines that leave `frames.jsonl` are kept in
+    `frames.damaged.jsonl`. `InputError` if it is still being recorded.
+    """
     try:
         recording = Recording(folder)
         folder = recording.folder

@@ -136,7 +136,11 @@ class Reprocessing:
 def reprocess(
     recording: Recording, frames: Sequence[int] | None = None, change: Change | None = None
 ) -> Iterator[Measurement]:
-    """Reconstruct recorded frames, also skipped ones, in order; without a calibration they have a problem."""
+    """Reconstruct recorded frames, by their indices in increasing order, or all; see `Reprocessing`.
+
+    Frames that were skipped live are reconstructed, too; frames without a calibration have a problem instead.
+    `InputError` if a frame or its calibration cannot be read, or does not fit the changed bench.
+    """
     return Reprocessing(recording, change)(frames)
 
 

@@ -124,7 +124,7 @@ def result_dataset(wavefront: Wavefront, quality: Quality | None = None, *, with
 
 
 def truth_dataset(views: Floats, light: Floats, bench: Bench) -> xr.Dataset:
-    """Return true wavefronts, rad, and relative light (view_row, view_column, lenslet_row, lenslet_column)."""
+    """Results of a true wavefront, rad, (view_row, view_column, lenslet_row, lenslet_column), and relative light."""
     import xarray as xr
 
     variables = {

@@ -82,7 +82,10 @@ def correct(
     iterations: int = MOST_ITERATIONS,
     progress: Progress = lambda *_: None,
 ) -> xr.Dataset:
-    """Correct an image (row, column), counts, of a bench; return `image`, and `inside`, where it is corrected."""
+    """Correct an image (row, column), counts, with the geometry of a bench; errors call it by its `name`.
+
+    Returns `image`, and `inside`: where it is corrected, with `iterations` and `chi_square` as attributes.
+    """
     if bench.imaging is None:
         raise InputError(
             f"{name}: its scale is unknown: give --scale, the size of a pixel in the field in m, or [imaging] pixel_m"
@@ -106,7 +109,7 @@ def correct(
 
 
 def write_corrected(path: Path, found: xr.Dataset, names: dict[str, str]) -> None:
-    """Write a TIFF of the image, of 255 where it is corrected, and of the `names` of image and wavefronts."""
+    """Write a TIFF: image, second page with 255 where it is corrected, else 0, and names of image and wavefronts."""
     chi_square = found.attrs["chi_square"]
     facts = {**names, **found.attrs, "chi_square": chi_square if math.isfinite(chi_square) else None}
     with atomic_write(path) as temporary, tifffile.TiffWriter(temporary) as writer:

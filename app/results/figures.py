@@ -60,7 +60,7 @@ def views_figure(wavefront: Wavefront) -> Figure:
 def draw_maps(
     figure: SubFigure, maps: Floats, caption: Callable[[int, int], str], colours: tuple[str, Normalize, str]
 ) -> None:
-    """Draw maps (view_row, view_column, row, column) under captions; `colours` are name, scale and title."""
+    """Draw maps (view_row, view_column, row, column), NaN grey, under captions; `colours` are name, scale and title."""
     name, scale, title = colours
     axes = figure.subplots(*maps.shape[:2], squeeze=False)
     captions = {view: caption(*view) for view in np.ndindex(axes.shape)}

@@ -127,7 +127,10 @@ _AMBIGUOUS = {
 
 
 def ratio_at(distance_m: float, origin: Origin, bench: Bench) -> float:
-    """Ratio r of field to pupil position at a layer: -d / f1, from the mask 1 - f1 / d; `InputError` far off."""
+    """Ratio r of field to pupil position at which rays meet a layer; `InputError` outside the geometry.
+
+    Distances d are positive towards the source: r = -d / f1 from the lenslets, r = 1 - f1 / d from the mask.
+    """
     nearest_m, farthest_m = distance_range_m(origin, bench)
     if not nearest_m <= distance_m <= farthest_m:
         raise InputError(
@@ -191,7 +194,7 @@ def layer_maps(
     values: Callable[[Layer, Floats, Floats], Floats],
     points: int = MAP_POINTS,
 ) -> tuple[Floats, Floats, Floats]:
-    """Positions x and y, m, and values (layer, y, x), `Layer.phase` or `Layer.sigma`; near the mask smaller."""
+    """Positions x and y, m, and values (layer, y, x), `Layer.phase` or `Layer.sigma`; narrower near the mask."""
     scales = [1 / (1 - layer.ratio) if origin == "mask" else 1.0 for layer in layers]
     reach_m = np.max([layer.half_width_m * scale for layer, scale in zip(layers, scales, strict=True)], axis=0)
     x_m, y_m = (np.linspace(-most, most, points) for most in reach_m)

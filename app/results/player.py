@@ -37,7 +37,10 @@ class Overview:
     faults: dict[int, tuple[Fault, str]]  # kind and reason of each frame that has one
 
     def course(self, points: int) -> tuple[Floats, Floats, Floats]:
-        """Return times, and fewest valid lenslets and largest RMS there, each over its most, of that many points."""
+        """Return the times of at most so many points, and number of lenslets and RMS there, each of its largest.
+
+        A point has the fewest lenslets and the largest RMS of the frames that it stands for, NaN without a wavefront.
+        """
         first = np.arange(0, len(self.time_s), -(-len(self.time_s) // points))
         time_s, valid = self.time_s[first], np.fmin.reduceat(self.valid, first)
         rms_rad, longest_s = np.fmax.reduceat(self.rms_rad, first), max(float(self.time_s[-1]), 1e-9)

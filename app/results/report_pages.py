@@ -83,7 +83,7 @@ def overview_page(summary: Summary) -> Figure:
 def _draw_views(
     figure: SubFigure, views: Floats, field: Field, *, title: str, limit: float = 0.0, with_places: bool = True
 ) -> None:
-    """Draw views (view_row, view_column, ...), rad, with RMS and PV up to `limit`, or up to the most."""
+    """Draw views (view_row, view_column, lenslet_row, lenslet_column), rad, with RMS and PV, up to `limit` if given."""
     # at most five evenly spaced views along an axis, from edge to edge
     rows, columns = (sorted({round(at) for at in np.linspace(0, n - 1, min(n, _MOST_VIEWS))}) for n in views.shape[:2])
     scale = limit or float(np.nanmax(np.abs(views), initial=0)) or 1.0
@@ -227,7 +227,7 @@ def write_report(
     settings: tuple[str, ...] = (),
     progress: Progress = lambda *_: None,
 ) -> Summary:
-    """Write the report of a recording, or of `frames`, perhaps with other `settings`; return what is in it."""
+    """Write the report of a recording, or of `frames` with other `settings`, as PDF or PNG; return what is in it."""
     reconstructing = between(progress, 0, _RECONSTRUCTED)
     summary = summarise(Recording(folder), frames, reconstructing, change=change_of(None, settings))
     progress("drawing the pages", _RECONSTRUCTED)

@@ -69,7 +69,7 @@ class StoredWavefront:
         return cls(path.name, bench.field, modes, without_piston(by_mode))
 
     def at(self, field: Field) -> Floats:
-        """Return it at a field's views, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside."""
+        """Wavefronts at a field's views, rad, (view_row, view_column, lenslet_row, lenslet_column); NaN outside."""
         x, y = (view_m / self.field.half_width_m for view_m in (field.view_x_m, field.view_y_m[:, None]))
         views = np.tensordot(np.moveaxis(self.modes.values(x, y), 0, -1), self.by_mode, axes=1)
         views[~self.field.contains(x, y)] = np.nan

@@ -56,7 +56,7 @@ def recorded_frame(folder: Path, frame: int) -> tuple[Calibration, Wavefront]:
 
 
 def stored_frame(path: Path, frame: int, *names: str) -> tuple[Bench, xr.Dataset]:
-    """Return bench, variables and modal coefficients of a frame, from 0, of a results file; `InputError` if bad."""
+    """Return bench, variables and modal coefficients of a frame, from 0, of a results file; `InputError` if missing."""
     with reading_results(path) as opened:
         if "displacement" not in opened:
             raise InputError(f"{path}: {_NOT_MEASURED}")
@@ -137,7 +137,7 @@ def read_fit(source: Path, frame: int) -> tuple[Bench, ModalFit]:
 
 
 def modes_at_views(bench: Bench, coefficients: Floats, views: Floats) -> tuple[PupilModes, PolynomialModes] | None:
-    """Return the modes of the views' coefficients e_pq; None for stars, other bases and removed modes."""
+    """Return the modes of the views' coefficients e_pq, rad; None for stars, other bases and removed modes."""
     try:
         pupil, modes = modes_of(bench, coefficients)
     except ReconstructionError:  # an own basis
@@ -160,7 +160,11 @@ _Frame = tuple[Floats, Floats]  # e_pq (pupil_mode, field_mode), empty without a
 
 
 def mean_wavefront(source: Path, bench: Bench, frames: str | None, progress: Progress) -> PhaseAt:
-    """Return the mean wavefront of frames at any field position, modal or interpolated between views."""
+    """Return the mean wavefront of the frames FIRST:END of results or of a recording, for every position of the field.
+
+    Results that are not modal are interpolated between their views, by cubic splines if four or more lie along a side.
+    `InputError` if the source cannot be read, or has neither coefficients nor several views.
+    """
     coefficients, views = mean_of_frames(source, frames, progress)
     if coefficients.size and modes_at_views(bench, coefficients, views) is not None:
         return _of_modes(bench, coefficients, views)
@@ -264,7 +268,7 @@ _ROUNDING = 1e-6  # singular value over the largest, below which displacements a
 
 
 def measured_frame(source: Path, frame: int) -> tuple[Bench, FrameEquations]:
-    """Return bench and equations of a frame, from 0, of a recording or results; raise if it tells of no layers."""
+    """Bench and equations of a frame, from 0; `InputError` if missing, `ReconstructionError` if it shows no layers."""
     if source.is_dir():
         calibration, wavefront = recorded_frame(source, frame)
         return calibration.bench, calibration.reconstructor().layers(wavefront.displacement)

@@ -14,7 +14,7 @@ Output = Literal["low", "exposure", "programmable", "trigger ready", "high"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DcamSettings:
-    """Selection and settings of a DCAM camera; what is omitted keeps the camera's value."""
+    """Selection and settings of a DCAM camera; omitted ones keep its value. Opening checks what depends on its mode."""
 
     driver: Literal["dcam"] = "dcam"
     device: Annotated[str, Doc('Serial number, or "0" for the first; empty takes the only one')] = ""

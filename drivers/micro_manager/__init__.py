@@ -13,7 +13,7 @@ from drivers.camera import ExposureSetting, PitchSetting, RegionSetting
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MicroManagerSettings:
-    """Selection and settings of a camera; what is omitted keeps the camera's value."""
+    """Selection and settings of a camera; what is omitted keeps its value. Opening it checks what depends on it."""
 
     driver: Literal["micro_manager"] = "micro_manager"
     adapter: Annotated[str, MinLen(1), Doc('Device adapter, for example "AndorSDK3"')]

@@ -224,7 +224,7 @@ def no_permission(port: str) -> str:
 
 
 def discover(driver: str, device: str, words: tuple[str, ...]) -> tuple[DiscoveredDevice, ...]:
-    """Return the USB serial ports, unopened, of such a device; certain if an adapter's text has one of `words`."""
+    """Return a device's USB serial ports, unopened: queries disturb others; certain if its text has one of `words`."""
     devices = []
     for port in list_ports.comports():
         if port.vid is None:  # built in, or a pseudo-terminal

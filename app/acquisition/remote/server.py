@@ -251,7 +251,7 @@ class Server:
 
 
 def _begin_request(command: Command, acquisition: Acquisition) -> Future[Any]:
-    """Call the method that a command names; `BadValue` if there is none, or the arguments do not fit its types."""
+    """Call the method that a command names, return its future; `BadValue` if there is none, or arguments do not fit."""
     name = command.request
     method: Any = getattr(Acquisition, name, None)
     hints = get_type_hints(method) if inspect.isfunction(method) and not name.startswith("_") else {}

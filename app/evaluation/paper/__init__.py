@@ -86,7 +86,7 @@ def _photograph(camera: SimulatedCamera) -> Image:
 
 
 def resized(bench: Bench, frames: Mapping[str, FramePair]) -> tuple[Bench, dict[str, FramePair]]:
-    """Crop 469 x 469 pixels and resize them to 465 x 465, as in the paper; return the bench for them, too."""
+    """Crop 469 x 469 pixels and resize them to 465 x 465 bicubically, as in the paper; return the bench for them."""
     sensor = replace(bench.sensor, pixel_pitch_m=bench.sensor.lenslet_pitch_m / 31)
     lattice = nominal_lattice(sensor, _RESIZED, _RESIZED)
     return replace(bench, sensor=sensor, lattice=lattice), {
@@ -268,7 +268,7 @@ def _all_compared(
 
 
 def _compared(name: str, bench: Bench, made: Outcome, truth: Floats) -> Row:
-    """Return a result next to the truth, rad, (view_row, view_column, ...); a view of the field must be known."""
+    """Return a result next to the truth, rad, (view_row, view_column, lenslet_row, lenslet_column), if all is known."""
     x, y = bench.field.view_x_m, bench.field.view_y_m
     is_inside = bench.field.contains(x / bench.field.half_width_m, y[:, None] / bench.field.half_width_m)
     residual = rms(made.views - truth)

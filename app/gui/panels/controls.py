@@ -164,7 +164,7 @@ class ControlsPanel(Panel):
                 control.setEnabled(not reason)
 
     def show_status(self, status: Status) -> None:
-        """Show status and wanted settings, those of a focused field only when all commands are finished."""
+        """Show the status and wanted settings; a focused field changes only when all commands are finished."""
         self.start.setText("Stop" if status.is_running else "Start")
         self.start.setIcon(theme.start_or_stop(is_running=status.is_running))
         self._is_running = status.is_running

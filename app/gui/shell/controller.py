@@ -187,7 +187,7 @@ class Controller(QObject):
             self.send(lambda _: connection.take_control())
 
     def ask_to_leave(self, then: Callable[[], object], parent: QWidget) -> bool:
-        """Ask whether the instrument continues, as one of another client does; False if it ends with the window."""
+        """Ask if the instrument continues, as another client's does, and call `then`; False if it ends here."""
         if (connection := self.connection) is None:
             return False
         if connection.is_of_another:

@@ -132,7 +132,7 @@ class MessageStrip(QFrame):
     def show_state(
         self, *, failure: str, warning: str, advice: str, may_reconnect: bool = True, may_take_control: bool = False
     ) -> None:
-        """Show the message of highest priority, a `failure` with the `advice`, and buttons for what may be done."""
+        """Show the message of highest priority, a `failure` with `advice`, and a button if it `may_take_control`."""
         if failure and failure != self._standing.get("failure"):
             self._question = ""  # no device is left to apply it
         for name, text in (("failure", failure), ("warning", warning)):

@@ -16,7 +16,7 @@ _CURSOR_PX = 2  # that Qt leaves next to a chosen text
 
 
 class Button(QPushButton):
-    """A button that a click gives no focus; with it, Space and Return press it, though both are shortcuts."""
+    """A button that a click gives no focus: with it, Space and Return would press it, although both are shortcuts."""
 
     def __init__(self, text: str, tool_tip: str, clicked: Slot | None = None) -> None:
         super().__init__(text)
