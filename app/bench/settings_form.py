@@ -42,7 +42,7 @@ def name_of(value: str) -> str:
 
 
 def typed_number(text: str, unit: str, factor: float) -> float | None:
-    """Return a text such as "27,5 mA" in SI units, a plain number in `unit` of that factor; None if it is none."""
+    """Return a text such as "27,5 mA" in SI units; a plain number is in `unit`, `factor` SI units. None if neither."""
     match = _NUMBER.fullmatch(text.strip())
     if match is None:
         return None

@@ -32,7 +32,7 @@ _LEAST_CALLS = 3
 def run_benchmark(
     bench: Bench, progress: Progress, *, budget_s: float = 1.5, sizes: Sequence[tuple[int, int]] = _SIZES
 ) -> Json:
-    """Time the quadratic warp for `budget_s` a call, as live with one BLAS thread; first the bench's lattice."""
+    """Time the quadratic warp for `budget_s` a call, with one BLAS thread as live; the bench's lattice comes first."""
     with one_blas_thread():
         progress("rendering", 0.0)
         frames = noisy(noise_free(bench), np.random.default_rng(1))

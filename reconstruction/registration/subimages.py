@@ -193,7 +193,7 @@ class ReferenceSubimages:
         return np.asarray(np.any(np.all(np.abs(away_px) < near_px, axis=-1), axis=1))
 
     def range_used(self, displacement: NDArray[np.floating[Any]], modes: FieldModes) -> Floats:
-        """Share (L,) of the range that the displacement (L, xy, Q), px, of the field's edge uses."""
+        """Share (L,) of the allowed range that the displacement (L, xy, Q), px, uses at the field's edge."""
         if modes not in self._at_outline:
             self._at_outline[modes] = modes.values(*self._field_outline.T)
         moved_px = displacement.reshape(-1, modes.count) @ self._at_outline[modes]  # one product is faster than L
