@@ -163,7 +163,8 @@ class Centroids:
         if reference.noise is not None:
             covariance = self._of_noise(after) + self._covariance / reference.reference_frames
         error_px = np.sqrt(np.maximum(np.trace(covariance, axis1=1, axis2=2) / 2, 0))
-        found = after.is_peak & self._known & (error_px < _CERTAIN * self._weight * self.sigma_px) & (misfit < _MISFIT)
+        is_certain = after.is_peak & (error_px < _CERTAIN * self._weight * self.sigma_px)
+        found = is_certain & self._known & (misfit < _MISFIT)
         range_used = self._range_used(after) * found
         if len(self._nominal_px) == 1:
             range_used = np.where(~astray & (range_used < _BEYOND), np.minimum(range_used, 1), range_used)
@@ -179,7 +180,7 @@ class Centroids:
             np.swapaxes(displacement.reshape(lenslets, stars, 2), 1, 2),
             covariance=np.einsum("lsab,st->lsatb", covariance, np.eye(stars)),
             residual_rms=misfit * reference.contrast / reference.contrast.max(),
-            contrast=self._by_lenslet(after.brightness).min(axis=1),
+            contrast=self._by_lenslet(after.brightness * is_certain).min(axis=1),
             faults={
                 LensletStatus.DIVERGED: np.any(~self._by_lenslet(found), axis=1),
                 LensletStatus.SATURATED: reference.touched(saturated),

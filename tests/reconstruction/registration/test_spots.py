@@ -192,6 +192,7 @@ def test_spots_of_others_and_noise_are_lost() -> None:
     assert found.valid[lit].all()
     assert np.abs(errors_px(bench, found, moved_px)).max() < 0.2
     assert not found.valid[~lit].any()
+    assert (found.outcome[:, 10:] == LensletStatus.DARK).all()
 
 
 @pytest.mark.parametrize("sigma_px", [0.4, 0.6, 6.0])
