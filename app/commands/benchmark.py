@@ -28,7 +28,6 @@ _LIGHT_A = 0.35  # at that rate; as many photons fall into a frame at others
 _POLL_S = 0.1
 _PROBE_S, _PROBE_WARM_UP_S = 10.0, 3.0  # of one rate, with `--camera-rate find`
 _SLOWEST_HZ, _FASTEST_HZ, _FINENESS = 5.0, 2000.0, 1.05
-_LEAST_MS = 0.02  # of processor time in a frame, for which a thread is listed
 
 
 def benchmark(
@@ -231,17 +230,13 @@ def print_figures(figures: LiveFigures) -> None:
         notes.append(f"The recording ended early: {recording.problem}")
     terminal.print_table(None, ("live", "measured", "asked", ""), lines, notes)
     if span.processor_s and span.frames.acquired:
-        _print_processor_times(span)
-
-
-def _print_processor_times(span: Span) -> None:
-    """Print the processor time of every process and its threads."""
-    lines = []
-    for process, threads in span.processor_s.items():
-        for thread, seconds in sorted(threads.items(), key=lambda item: (item[0] != "", -item[1])):
-            ms, memory = 1e3 * seconds / span.frames.acquired, f"{span.memory_mb[1].get(process, 0.0):.0f}"
-            if not thread or ms >= _LEAST_MS:
-                named = (f"  {thread}", "") if thread else (process, memory)
-                lines.append((named[0], f"{ms:.2f}", f"{100 * seconds / span.seconds:.1f}", named[1]))
-    notes = [f"Of it, the simulated camera takes {1e3 * span.camera_s / span.frames.acquired:.2f} ms; a real one none."]
-    terminal.print_table(None, ("processor time", "ms per frame", "% of a core", "MB"), lines, notes)
+        lines = [
+            (
+                process,
+                f"{1e3 * seconds / span.frames.acquired:.2f}",
+                f"{100 * seconds / span.seconds:.1f}",
+                f"{span.memory_mb[1].get(process, 0.0):.0f}",
+            )
+            for process, seconds in span.processor_s.items()
+        ]
+        terminal.print_table(None, ("processor time", "ms per frame", "% of a core", "MB"), lines)

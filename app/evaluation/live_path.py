@@ -22,7 +22,6 @@ from app.progress import Progress
 from app.recording.recorder import RECENT_S, RecordingState
 from app.run_facts import machine_facts, timing_facts, versions
 from app.timing import StageTimes, TimedStage
-from reconstruction.runtime.threads import name_threads
 
 LEAST_S, MOST_S = 1.0, 3600.0
 _GIVE_UP_S = 600.0  # for rendering the bench and compiling
@@ -117,7 +116,7 @@ class Span:
     frames: FrameTotals
     times: dict[TimedStage, StageTimes]  # counts are of the span, statistics of the times that were retained at its end
     memory_mb: tuple[dict[str, float], dict[str, float]]  # by process; at begin and end of the last seconds
-    processor_s: processor_time.Times  # empty if unknown
+    processor_s: dict[str, float]  # by process; empty if unknown
 
     @property
     def rate_hz(self) -> float:
@@ -133,23 +132,13 @@ class Span:
     def redraw_s(self) -> float | None:
         """Processor time of the window's process for each redraw; None if unknown."""
         window, redraws = self.processor_s.get(processor_time.WINDOW), self.times["draw"].count
-        return window[""] / redraws if window and redraws else None
+        return window / redraws if window and redraws else None
 
     @property
     def total_mb(self) -> tuple[float, float]:
         """Memory of all processes but the simulated rendering, at begin and end of the last seconds."""
         begin, end = (sum(each.values()) - each.get(processor_time.RENDERING, 0.0) for each in self.memory_mb)
         return begin, end
-
-    @property
-    def camera_s(self) -> float:
-        """Processor time of the simulated camera: detector and rendering."""
-        return sum(
-            seconds
-            for process, threads in self.processor_s.items()
-            for thread, seconds in threads.items()
-            if thread.startswith(processor_time.DETECTOR) or (process, thread) == (processor_time.RENDERING, "")
-        )
 
     def tree(self) -> dict[str, Any]:
         """Return everything for JSON."""
@@ -174,7 +163,6 @@ def measure_span(
         return run.until(lambda: time.perf_counter() >= until_s, text=text, fraction=passed)
 
     yield from wait(first_s + warm_up_s, "warming up")
-    name_threads()
     stages = run.stage_times()
     start_s, before, taken_s = time.perf_counter(), acquisition.counts, processor_time.processor_times()
     end_s = start_s + seconds
@@ -189,7 +177,10 @@ def measure_span(
         frames=FrameTotals(*(now - then for now, then in zip(astuple(after), astuple(before), strict=True))),
         times={stage: replace(each, count=each.count - stages[stage].count) for stage, each in times.items()},
         memory_mb=(memory_mb, processor_time.memory_mb()),
-        processor_s=processor_time.processor_times(taken_s),
+        processor_s={
+            process: max(until_s - taken_s.get(process, 0.0), 0.0)
+            for process, until_s in processor_time.processor_times().items()
+        },
     )
     if record_into is not None:
         run.send(lambda to: (to.stop_recording(),))

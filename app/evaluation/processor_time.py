@@ -1,4 +1,4 @@
-"""Processor time and memory of this process and of all that descend from it; only Linux knows those of each thread."""
+"""Processor time and memory of this process and of all that descend from it."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from contextlib import suppress
 
 import psutil
 
-RENDERING, INSTRUMENT, WINDOW, DETECTOR = "simulated rendering", "instrument", "window", "detector"
-Times = dict[str, dict[str, float]]  # seconds of each thread by process; the thread "" represents the whole process
+RENDERING, INSTRUMENT, WINDOW = "simulated rendering", "instrument", "window"
 _PROCESSES = {  # by a part of the command line
     "render_missing": RENDERING,
     "background_estimator": "background estimator",
@@ -20,24 +19,13 @@ _PROCESSES = {  # by a part of the command line
 }
 
 
-def processor_times(since: Times | None = None) -> Times:
-    """Return the processor time of each process and thread so far, or since an earlier answer."""
-    seconds: defaultdict[str, dict[str, float]] = defaultdict(dict)
+def processor_times() -> dict[str, float]:
+    """Return the processor time by process so far, s."""
+    taken_s: defaultdict[str, float] = defaultdict(float)
     for process, name in _processes():
-        taken = defaultdict[str, float](float)
         with suppress(psutil.Error):  # it has just ended
-            taken[""] = sum(process.cpu_times()[:2])
-            for thread in process.threads() if sys.platform == "linux" else ():
-                with suppress(psutil.Error):
-                    own = "main" if thread.id == process.pid else psutil.Process(thread.id).name()
-                    taken[own] += thread.user_time + thread.system_time
-        for thread_name, taken_s in taken.items():
-            seconds[name][thread_name] = seconds[name].get(thread_name, 0.0) + taken_s
-    earlier = since or {}
-    return {
-        process: {thread: max(end - earlier.get(process, {}).get(thread, 0.0), 0.0) for thread, end in threads.items()}
-        for process, threads in seconds.items()
-    }
+            taken_s[name] += sum(process.cpu_times()[:2])
+    return dict(taken_s)
 
 
 def memory_mb() -> dict[str, float]:

@@ -24,7 +24,6 @@ from app.recording.writer import Record, RecordingWriter
 from app.run_facts import timing_facts
 from app.timing import Timings
 from drivers.interface import WrongState
-from reconstruction.runtime.threads import name_threads
 
 RECENT_S = 10.0
 _RECENT_BYTES = 1e9
@@ -153,7 +152,6 @@ class BackgroundRecording:
         self._changed.notify()
 
     def _work(self) -> None:
-        name_threads()
         try:
             with closing(RecordingWriter(self._folder, self._facts)) as writer:
                 self._write(writer)

@@ -1,13 +1,11 @@
-"""Persistent worker threads, their names, and the threads of BLAS."""
+"""Persistent worker threads, and the threads of BLAS."""
 
 import os
 import sys
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import cache, lru_cache
-from pathlib import Path
 from threading import RLock
 from typing import TypeVar
 
@@ -17,7 +15,6 @@ A = TypeVar("A")
 R = TypeVar("R")
 
 THREADS = 2  # that share a piece of work, unless a setting or the caller says otherwise
-_LETTERS = 15  # of a thread's name that Linux keeps
 
 
 @cache
@@ -45,13 +42,6 @@ def in_threads(function: Callable[[A], R], items: Iterable[A], threads: int = TH
 
 if hasattr(os, "register_at_fork"):  # a forked process inherits the pools, but not their threads
     os.register_at_fork(after_in_child=worker_pool.cache_clear)
-
-
-def name_threads() -> None:
-    """Name threads for `svwfs benchmark --live` and `top -H` on Linux; Python itself does so from 3.14 on."""
-    for thread in threading.enumerate():
-        with suppress(OSError):
-            Path(f"/proc/self/task/{thread.native_id}/comm").write_text(thread.name[:_LETTERS])
 
 
 class _BlasLimit:
