@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from tempfile import gettempdir
 from typing import TYPE_CHECKING, Annotated, Any
@@ -26,8 +24,7 @@ if TYPE_CHECKING:
 _RATE_HZ = 70.0
 _LIGHT_A = 0.35  # at that rate; as many photons fall into a frame at others
 _POLL_S = 0.1
-_PROBE_S, _PROBE_WARM_UP_S = 10.0, 3.0  # of one rate, with `--camera-rate find`
-_SLOWEST_HZ, _FASTEST_HZ, _FINENESS = 5.0, 2000.0, 1.05
+_SLOWEST_HZ, _FASTEST_HZ = 5.0, 2000.0
 
 
 def benchmark(
@@ -49,11 +46,7 @@ def benchmark(
         typer.Option("--rendered", help="Frames of --live from memory, at the cost of a copy as from a real camera."),
     ] = False,
     camera_rate: Annotated[
-        str | None,
-        typer.Option(
-            metavar="RATE",
-            help="Frames/s of --live [default: 70]; find: the highest of which 99 % are reconstructed, none lost.",
-        ),
+        float | None, typer.Option(min=_SLOWEST_HZ, max=_FASTEST_HZ, help="Frames/s of --live [default: 70].")
     ] = None,
     bench: Annotated[str | None, options.bench_option(f"With --live: simulated bench [default: {DEFAULT}].")] = None,
     overwrite: options.Overwrite = False,
@@ -74,30 +67,22 @@ def benchmark(
     if live is not None:
         from app.evaluation.live_path import LivePlan
 
+        rate_hz = camera_rate or _RATE_HZ
+        settings = [
+            "reconstruction.refine=false",
+            f"camera.exposure_s={1 / rate_hz:.6f}",
+            f"camera.shortest_exposure_s={1 / _FASTEST_HZ}",
+            f"camera.noise_frames={2 if rendered else 0}",
+            f"light.current_a={_LIGHT_A * rate_hz / _RATE_HZ:g}",
+            f"light.maximum_current_a={_LIGHT_A * _FASTEST_HZ / _RATE_HZ:g}",
+        ]
+        loaded = options.load(bench or DEFAULT, [*settings, *(setting or ())])
         folder = None if no_record else record_in or Path(gettempdir())
-
-        def plan(rate_hz: float) -> LivePlan:
-            settings = [
-                "reconstruction.refine=false",
-                f"camera.exposure_s={1 / rate_hz:.6f}",
-                f"camera.shortest_exposure_s={1 / _FASTEST_HZ}",
-                f"camera.noise_frames={2 if rendered else 0}",
-                f"light.current_a={_LIGHT_A * rate_hz / _RATE_HZ:g}",
-                f"light.maximum_current_a={_LIGHT_A * _FASTEST_HZ / _RATE_HZ:g}",
-            ]
-            loaded = options.load(bench or DEFAULT, [*settings, *(setting or ())])
-            return LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
-
+        plan = LivePlan(bench=loaded, seconds=live, record_in=folder, with_panels=panels)
         with terminal.progress_bar() as progress:
-            rate_hz = find_rate(plan, progress) if camera_rate == "find" else _rate(camera_rate)
-            figures = benchmark_acquisition(plan(rate_hz or _SLOWEST_HZ), progress)
-        if camera_rate == "find":
-            figures = replace(figures, processor_s=None)  # it is that of all probes
+            figures = benchmark_acquisition(plan, progress)
         print_figures(figures)
         numbers, missed = figures.tree(), figures.missed()
-        if camera_rate == "find":
-            numbers["live"]["highest_rate_hz"] = rate_hz
-            terminal.print_sentence(f"Highest rate with 99 % reconstructed and none lost: {rate_hz:.0f} frames/s.")
     elif bench or setting or record_in or no_record or panels or rendered or camera_rate or check:
         raise InputError(
             "--bench, --set, --record-in, --no-record, --panels, --rendered, --camera-rate and --check are only for the"
@@ -114,32 +99,6 @@ def benchmark(
         write_record(json, numbers)
     if check and missed:
         raise RunError(f"missed: {'; '.join(missed)}")
-
-
-def _rate(text: str | None) -> float:
-    try:
-        rate_hz = _RATE_HZ if text is None else float(text)
-    except ValueError:
-        rate_hz = 0.0
-    if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
-        raise InputError(f"--camera-rate {text}: give {_SLOWEST_HZ:g} ... {_FASTEST_HZ:g} frames/s, or find")
-    return rate_hz
-
-
-def find_rate(plan: Callable[[float], LivePlan], progress: Progress) -> float:
-    """Find the highest rate of the camera, to 5 %, at which nothing is lost and 99 % of the frames reconstructed."""
-    highest_hz, lowest_hz, rate_hz = math.inf, 0.0, _RATE_HZ
-    while highest_hz > _FINENESS * lowest_hz:
-        probe = replace(plan(rate_hz), seconds=_PROBE_S, warm_up_s=_PROBE_WARM_UP_S, is_probe=True)
-        figures = benchmark_acquisition(probe, named(progress, f"{rate_hz:.0f} frames/s"))
-        if figures.keeps_up:
-            lowest_hz = rate_hz
-        else:
-            highest_hz = rate_hz
-        rate_hz = 2 * lowest_hz if highest_hz == math.inf else math.sqrt(highest_hz * max(lowest_hz, highest_hz / 4))
-        if not _SLOWEST_HZ <= rate_hz <= _FASTEST_HZ:
-            break
-    return lowest_hz
 
 
 def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
@@ -163,16 +122,15 @@ def benchmark_acquisition(plan: LivePlan, progress: Progress) -> LiveFigures:
         run = HeadlessRun(own.connect(plan.bench), in_window)
         steps = measure_span(run, time.perf_counter(), plan.warm_up_s, plan.seconds, folder)
         _run_in_window(run, noting(steps), with_panels=plan.with_panels)
-    figures = LiveFigures(plan=plan, is_seen=is_seen, window=spans[0], recording=run.acquisition.recording)
-    if plan.is_probe:
-        return figures
+    recording = run.acquisition.recording
     with OwnInstrument("benchmark") as own, closing(own.connect(plan.bench)) as acquisition:
         run = HeadlessRun(acquisition, named(between(progress, middle, 1.0), "no window"))
         acquisition.start()
         run.send()
         for _ in noting(measure_span(run, time.perf_counter(), *plan.bare_s)):
             time.sleep(_POLL_S)
-    return replace(figures, bare=spans[1], processor_s=total_s())
+    window, bare = spans
+    return LiveFigures(plan=plan, is_seen=is_seen, window=window, recording=recording, bare=bare, processor_s=total_s())
 
 
 def _run_in_window(run: HeadlessRun, steps: Iterator[None], *, with_panels: bool) -> None:

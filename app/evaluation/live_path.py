@@ -45,7 +45,6 @@ class LivePlan:
     record_in: Path | None  # folder of the temporary recording; None for none
     with_panels: bool = False  # coefficients, history and histogram are open in addition to the window
     warm_up_s: float = RECENT_S + 2.0  # until the memory is full of recent frames
-    is_probe: bool = False  # without the run that has neither window nor recording
 
     def __post_init__(self) -> None:
         if not LEAST_S <= self.seconds <= MOST_S:
@@ -226,19 +225,13 @@ class LiveFigures:
     is_seen: bool  # the window was on a display
     window: Span
     recording: RecordingState | None  # at its end
-    bare: Span | None = None  # without window and recording
-    processor_s: float | None = None  # of both runs and all their processes, from start to end; None if unknown
-
-    @property
-    def keeps_up(self) -> bool:
-        """True if 99 % of the frames were reconstructed, none lost and all recorded."""
-        frames, is_whole = self.window.frames, not (self.recording and self.recording.problem)
-        return share(frames) >= _LEAST_SHARE and not frames.lost and is_whole
+    bare: Span  # without window and recording
+    processor_s: float | None  # of both runs and all their processes, from start to end; None if unknown
 
     @property
     def rate_ratio(self) -> float:
         """Rate with the window over the rate without; NaN without any wavefront."""
-        return self.window.rate_hz / self.bare.rate_hz if self.bare and self.bare.rate_hz else math.nan
+        return self.window.rate_hz / self.bare.rate_hz if self.bare.rate_hz else math.nan
 
     @property
     def memory_growth(self) -> float | None:
@@ -277,10 +270,9 @@ class LiveFigures:
             last = f"last {memory_s(plan.seconds):.0f} s"
             rows.append(Figure("memory of all processes", window.total_mb[1], "MB", "memory_mb", 1000.0))
             rows.append(Figure(f"memory grown, {last}", growth, "%", "memory_growth", 0.01))
-        if bare is not None:
-            rows.append(Figure(f"rate without window, {bare.seconds:.0f} s", bare.rate_hz, "/s"))
-            rows.append(Figure("rate with it", window.rate_hz, "/s"))
-            rows.append(Figure("rate with over without", self.rate_ratio, "%", "rate_ratio", 0.95))
+        rows.append(Figure(f"rate without window, {bare.seconds:.0f} s", bare.rate_hz, "/s"))
+        rows.append(Figure("rate with it", window.rate_hz, "/s"))
+        rows.append(Figure("rate with over without", self.rate_ratio, "%", "rate_ratio", 0.95))
         rows.append(Figure("first wavefront after, warm", window.first_wavefront_s, "s", "first_wavefront_s", 5.0))
         if self.processor_s is not None:
             most_s = _PROCESSOR_S * plan.lasting_s / _PROCESSOR_LASTING_S
@@ -304,7 +296,7 @@ class LiveFigures:
             "window_is_seen": self.is_seen,
             "bench": write_bench(plan.bench),
             "window": self.window.tree(),
-            "without_window": self.bare and self.bare.tree(),
+            "without_window": self.bare.tree(),
             "memory_s": memory_s(plan.seconds),
             "processor_s": self.processor_s,
             "recording": None if recording is None else {"frames": recording.frames, "problem": recording.problem},
