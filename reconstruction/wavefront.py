@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from reconstruction.arrays import Booleans, Floats
 from reconstruction.displacement import TRANSMISSION_MODES, Displacement
-from reconstruction.geometry import Arrangement, Field, Sensor, lenslet_centers
+from reconstruction.geometry import Field, Sensor
 from reconstruction.layers.layered_wavefront import FREE, AssumedSample
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.polynomials import zernike
@@ -150,12 +150,6 @@ def modes_at_views(field: Field, modes: FieldModes) -> tuple[Floats, Booleans]:
     return np.moveaxis(modes.values(x, y[:, None]), 0, -1).copy(), field.contains(x, y[:, None])
 
 
-def without_tilt(phase: Floats, arrangement: Arrangement) -> Floats:
-    """Subtract the best-fitting plane from wavefronts (..., lenslet_row, lenslet_column), ignoring NaN."""
-    u, v = np.moveaxis(lenslet_centers(arrangement, *phase.shape[-2:]), -1, 0)
-    return _without_terms(phase, np.stack([np.ones_like(u), u, v]), [1, 2])
-
-
 def without_zernikes(phase: Floats, numbers: Iterable[int], sensor: Sensor) -> Floats:
     """Subtract piston and Zernike modes by Noll's numbers, ignoring NaN.
 
@@ -165,11 +159,7 @@ def without_zernikes(phase: Floats, numbers: Iterable[int], sensor: Sensor) -> F
     if not (removed := [number - 1 for number in numbers]):
         return without_piston(phase)
     x, y = np.moveaxis(sensor.circle.normalised(sensor.lenslet_centers_m), -1, 0)
-    return _without_terms(phase, zernike(max(removed) + 1, x, y, sensor.circle.obscuration), removed)
-
-
-def _without_terms(phase: Floats, terms: Floats, removed: list[int]) -> Floats:
-    """Fit terms (term, lenslet_row, lenslet_column) together, and subtract some of them and the piston."""
+    terms = zernike(max(removed) + 1, x, y, sensor.circle.obscuration)  # (term, lenslet_row, lenslet_column)
     terms = terms / np.sqrt(np.mean(terms**2, axis=(1, 2), keepdims=True))
     known = np.isfinite(phase)
     normal = np.tensordot(known.astype(np.float64), terms[:, None] * terms, axes=((-2, -1), (-2, -1)))

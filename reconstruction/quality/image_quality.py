@@ -7,7 +7,7 @@ the smallest third differences. Only known lenslets transmit light. The rows of 
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache, reduce
+from functools import lru_cache
 
 import numpy as np
 import scipy  # which loads its parts when they are used
@@ -127,17 +127,11 @@ def _transmission(phase: Floats) -> NDArray[np.complex64]:
 def _to_samples(lenslets: int) -> Floats:
     """Cubic spline interpolation from lenslets and one more on either side to samples: (sample, lenslet + 2).
 
-    Its third derivative is continuous at the second and the last but one. SciPy's takes half a second to import.
+    Its third derivative is continuous at the second and the last but one.
     """
-    points = lenslets + 2
-    equations = np.zeros((points + 2, points + 2))  # for the weights of B-splines about the points and one beyond each
-    for point in range(points):
-        equations[point, point : point + 3] = 1 / 6, 2 / 3, 1 / 6
-    equations[-2, :5] = equations[-1, -5:] = 1, -4, 6, -4, 1
-    at = centered_steps(lenslets * SAMPLES)[:, None] / SAMPLES
-    away = np.minimum(np.abs(at - centered_steps(points + 2)), 2.0)
-    splines = np.where(away < 1, 2 / 3 - away**2 + away**3 / 2, (2 - away) ** 3 / 6)
-    return np.asarray(splines @ np.linalg.inv(equations)[:, :points])
+    points = centered_steps(lenslets + 2)
+    spline = scipy.interpolate.make_interp_spline(points, np.eye(points.size))
+    return np.asarray(spline(centered_steps(lenslets * SAMPLES) / SAMPLES))
 
 
 def _positions_m(lenslets: int, spacing_m: float) -> Floats:
@@ -207,8 +201,7 @@ def _energy(directions: str, rows: int, columns: int) -> sparse.csr_array:
 
 def _differences(count: int, order: int) -> sparse.csr_array:
     """Matrix of the differences of that order between `count` neighbours: (count - order, count)."""
-    identity: NDArray[np.float64] = np.eye(count)
-    return sparse.csr_array(reduce(lambda matrix, _: np.diff(matrix, axis=0), range(order), identity))
+    return sparse.csr_array(np.diff(np.eye(count), order, axis=0))
 
 
 _CUBIC = 3

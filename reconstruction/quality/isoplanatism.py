@@ -11,10 +11,11 @@ import numpy as np
 
 from reconstruction.arrays import Floats
 from reconstruction.geometry import Field, centered_steps
-from reconstruction.wavefront import Wavefront, rms, without_piston, without_tilt
+from reconstruction.wavefront import Wavefront, rms, without_piston, without_zernikes
 
 _LIMIT_RAD = 1.0  # RMS difference that ends the isoplanatic patch
 _ACROSS = 7  # positions across the field
+_TILT = 2, 3  # Noll's numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +58,7 @@ def isoplanatism(wavefront: Wavefront) -> Isoplanatism:
     position_m = field_cell_middles_m(field, _ACROSS)
     x, y = position_m.T / field.half_width_m
     phase = wavefront.solution.wavefront(np.moveaxis(wavefront.displacement.modes.values(x, y), 0, -1))
-    flat = without_tilt(phase, wavefront.sensor.arrangement)
+    flat = without_zernikes(phase, _TILT, wavefront.sensor)
     step_m = 2 * field.half_width_m / _ACROSS
     mean = without_piston(np.mean(phase, axis=0))
     return Isoplanatism(

@@ -158,16 +158,6 @@ class ModalSolution:
         return sigma
 
     @property
-    def covariance(self) -> Floats:
-        """Covariance of the coefficients, rad^2, (pupil_mode - 1, field_mode) twice; without the piston.
-
-        It includes the noise of the displacements and what the prior suppresses.
-        """
-        root = self.root_covariance
-        flat = root.reshape(-1, root.shape[2]).astype(np.float64)
-        return (flat @ flat.T).reshape(*root.shape[:2], *root.shape[:2])
-
-    @property
     def displacement(self) -> Floats:
         """Displacements that the registration finds for this wavefront, px, (row, column, field_mode, xy)."""
         fitted = (self.fitted() @ self.parameters).reshape(*self.known.shape, 2, -1)
@@ -191,7 +181,10 @@ class ModalSolution:
 
     @property
     def root_covariance(self) -> Image:
-        """Square root of `covariance`, rad, (pupil_mode - 1, field_mode, n)."""
+        """Square root of the coefficients' covariance, rad, (pupil_mode - 1, field_mode, n); without the piston.
+
+        It includes the noise of the displacements and what the prior suppresses.
+        """
         spread, deviation, others = self._deviations()
         root = np.concatenate([spread.components * deviation, others], axis=-1)
         return np.pad(root, ((0, len(self.coefficients) - 1 - len(root)), (0, 0), (0, 0)))

@@ -230,11 +230,12 @@ class GaussNewton:
         self.brightness_terms = terms
         self._search = prepare_search(reference)
         self._errors = ErrorPropagation(self._warp)
-        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * self._warp.contrast) ** 2
+        contrast = self._warp.grid.level[:, 1]
+        self._unexplained = np.count_nonzero(self._warp.grid.weight, axis=1) * (MISFIT * contrast) ** 2
         self._power = noise_power_polynomial().astype(np.float32)
         self._idle_arrays: list[WorkArrays] = []  # that no thread uses now
         poor_square = _NOISE_AT_MOST * self._errors.expected_square
-        poor_square[:, 0] += (_POOR * self._warp.contrast) ** 2 * np.count_nonzero(pixels)
+        poor_square[:, 0] += (_POOR * contrast) ** 2 * np.count_nonzero(pixels)
         tolerance_px = np.clip(_TOLERANCE * self._errors.expected_sigma_px, *_TOLERANCE_PX)
         self._limits = FitLimits(tolerance_px.astype(np.float32), poor_square.astype(np.float32))
         self._near_bad, self._touched_by_bad = self._near(reference.bad), reference.touched(reference.bad)
@@ -262,7 +263,7 @@ class GaussNewton:
             self.modes,
             fitted.reshape(len(fits.gain), 2, self.modes.count),
             covariance=covariance,
-            residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.contrast.max(),
+            residual_rms=np.sqrt(fits.square / warp.grid.light.shape[1]) / warp.grid.level[:, 1].max(),
             contrast=fits.contrast,
             faults={
                 LensletStatus.DIVERGED: ~found,

@@ -53,7 +53,6 @@ class Template:
 
     grid: Grid
     images: "SteepestDescent"  # of this warp
-    contrast: Floats  # standard deviation of the light on its pixels, counts, (L,)
     per_pixel: Propagated  # of noise with variance 1 in every pixel
     per_light: Propagated  # of shot noise, whose variance is the light
     brightness: Image  # from the residual to that of the source, over the gain's, (L, 6, N); see `SteepestDescent`
@@ -277,8 +276,7 @@ def prepare_template(images: SteepestDescent, noise: CameraNoise | None = None) 
     prepared = in_threads(prepare, range(0, lenslets, _AT_ONCE))
     parts = zip(*prepared, strict=True)
     of_pixels, of_light = (Propagated(*map(np.concatenate, zip(*each, strict=True))) for each in parts)
-    contrast = reference.light[:, of_window].std(axis=1)
-    return Template(grid, images, contrast, of_pixels, of_light, to_brightness, covariance)
+    return Template(grid, images, of_pixels, of_light, to_brightness, covariance)
 
 
 def _least_squares(images: Floats, weight: Floats) -> Floats:

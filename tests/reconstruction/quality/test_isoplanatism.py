@@ -10,7 +10,7 @@ from reconstruction.arrays import Floats
 from reconstruction.geometry import Field
 from reconstruction.modes.field_modes import LegendreModes
 from reconstruction.quality.isoplanatism import field_cell_middles_m, global_error_rad, isoplanatism, structure_curve
-from reconstruction.wavefront import Wavefront, without_tilt
+from reconstruction.wavefront import Wavefront, without_zernikes
 
 ROWS, COLUMNS = 9, 13
 U, V = np.meshgrid(np.arange(COLUMNS) - 6.0, np.arange(ROWS) - 4.0)  # in lenslets
@@ -65,7 +65,7 @@ def test_shifted_cubic_without_tilt_leaves_curvature() -> None:
     shift = 400.0 * x_m[:, None, None]  # lenslets
     strength = 0.05
     phase = strength * (U - shift) ** 3  # differs by 3 strength shift u^2, by tilt, and by piston
-    curve = structure_curve(without_tilt(phase, "square"), position_m, bin_m=0.25e-3)
+    curve = structure_curve(without_zernikes(phase, (2, 3), sensor_of(ROWS, COLUMNS)), position_m, bin_m=0.25e-3)
     np.testing.assert_allclose(curve.separation_m, x_m[1:])
     rms_u2 = np.sqrt((13**2 - 1) * (13**2 - 4) / 180)  # of the squares of 13 whole steps, about their mean
     np.testing.assert_allclose(curve.rms_rad, 3 * strength * 400 * x_m[1:] * rms_u2)
@@ -98,7 +98,7 @@ def test_global_error_is_rms_of_difference_from_mean() -> None:
 def test_without_tilt_ignores_unknown_lenslets() -> None:
     phase = np.stack([3 + 2 * U - V, U * V])
     phase[0, 0, 0] = phase[0, 5] = np.nan
-    flat = without_tilt(phase, "square")
+    flat = without_zernikes(phase, (2, 3), sensor_of(ROWS, COLUMNS))
     np.testing.assert_allclose(flat[0][np.isfinite(phase[0])], 0, atol=1e-12)
     np.testing.assert_array_equal(np.isnan(flat), np.isnan(phase))
     np.testing.assert_allclose(flat[1], U * V, atol=1e-12)

@@ -113,7 +113,8 @@ def test_full_covariance_and_weights_match_generalised_least_squares(parameters:
     level = left @ left / (np.count_nonzero(root) * data.shape[1] - allowed.shape[1])
     assert level > 100
     of_coefficients = enlarged(level) * allowed @ np.linalg.inv(normal) @ allowed.T
-    found = solution.covariance.reshape(14 * FIELD_MODES, -1)
+    root = solution.root_covariance.reshape(14 * FIELD_MODES, -1).astype(np.float64)
+    found = root @ root.T
     np.testing.assert_allclose(found, of_coefficients, atol=1e-3 * np.abs(of_coefficients).max())
     np.testing.assert_allclose(
         solution.coefficients_sigma[1:].ravel(),
