@@ -175,7 +175,7 @@ class QualityChecker:
         if slopes_px > limit_px:  # their own variance takes longer to compute
             slopes_px = self._slope_misfit_px(displacement, displacement.variance[:, :, 0].mean(axis=-1))
         if slopes_px > limit_px:
-            moved = "the camera may have turned, or the frame is torn; take a new reference (R)"
+            moved = "the camera may have turned, or the frame is torn or half a pitch off; take a new reference (R)"
             yield Fault.SLOPES, f"slopes differ from those of any wavefront by {slopes_px:.2f} px: {moved}"
         if saturated > _SATURATED * lit:
             yield Fault.CLIPPED, f"{saturated} of {lit} lenslets are saturated: {TOO_BRIGHT}"
