@@ -44,6 +44,7 @@ _EXPECTED = 1 / 3  # of the gap between stars, within which each lies in the ref
 _NEIGHBOURS, _BESIDE = 9, 1.6  # of a lenslet and with it, at most, and how many pitches away
 _BEYOND = 1.5  # of the way from a lenslet to its border, up to which spots are found that their neighbours expect
 _REWEIGHTINGS = 8  # of the displacements, for their trend
+_AS_BRIGHT = 0.5  # of another spot, or of most, as which a spot counts
 _ASTRAY = 0.3  # of a cell, by which a spot may lie off where its neighbours' displacements expect it
 _TINY = np.finfo(np.float32).tiny
 _FITTED = 4  # numbers fitted to a spot: position, gain and offset
@@ -191,20 +192,27 @@ class Centroids:
     def _among_neighbours(self, image: Image, spots: _Spots) -> tuple[_Spots, Booleans]:
         """Look again for single spots that lie far from where those of neighbours expect them.
 
-        Those are of other lenslets, or noise; an expected one may lie beyond its cell. Also says which are lost, (L,).
+        If there is one, perhaps beyond its cell, it is taken. If not, a bright spot in the cell that no other lenslet
+        has is right all the same; others are lost, which the second result says, (L,).
         """
         before_px, most_px = self._spots.position_px, _ASTRAY * self._reference.side_px
         likely = spots.is_peak & self._known
-        likely &= spots.brightness > DARK_CONTRAST * median(spots.brightness[likely])
+        usual = median(spots.brightness[likely]) if likely.any() else 0.0
+        likely &= spots.brightness > DARK_CONTRAST * usual
         expected_px = self._expected_px(spots.position_px - before_px, likely)
         astray = np.hypot(*(spots.position_px - expected_px).T) > most_px
         if not np.any(astray & self._known):
             return spots, astray
         near_px = self._brightest(image, near_px=expected_px[:, None])
         again = self._find(image, np.where(astray[:, None, None], near_px, spots.position_px[:, None]))
-        astray = np.hypot(*(again.position_px - expected_px).T) > most_px
-        pairs = zip(spots, again, strict=True)
-        return _Spots(*(np.where(astray.reshape(-1, *(1,) * (one.ndim - 1)), one, two) for one, two in pairs)), astray
+        is_there = again.is_peak & (np.hypot(*(again.position_px - expected_px).T) <= most_px)
+        is_there &= again.brightness > _AS_BRIGHT * spots.brightness
+        pairs = zip(again, spots, strict=True)
+        spots = _Spots(*(np.where(is_there.reshape(-1, *(1,) * (one.ndim - 1)), one, two) for one, two in pairs))
+        is_bright = spots.is_peak & (spots.brightness > _AS_BRIGHT * usual)
+        away_px, _ = scipy.spatial.KDTree(spots.position_px[is_bright | is_there]).query(spots.position_px, 2)
+        is_alone = np.asarray(away_px)[:, 1] > most_px
+        return spots, ~is_there & ~(is_bright & is_alone & (self._range_used(spots) <= 1))
 
     def _expected_px(self, moved_px: Floats, likely: Booleans) -> Floats:
         """Positions on the camera (L, xy) that the displacements of `likely` neighbours expect, (L, xy).

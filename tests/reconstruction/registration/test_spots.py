@@ -177,6 +177,28 @@ def test_spots_beyond_their_cells_are_found_by_their_neighbours(rotation_rad: fl
     assert found.range_used.max() == 1
 
 
+@pytest.mark.parametrize("case", ["one lenslet", "a step", "turbulence", "astigmatism"])
+@pytest.mark.parametrize("count", [3, 5, 12])
+def test_spots_that_no_neighbour_expects_are_found(case: str, count: int) -> None:
+    """In their own cells: of a sample's local defect, of a segmented mirror, of turbulence, of few lenslets."""
+    bench, rng = SpotBench(count, count), np.random.default_rng(6)
+    pitch_px, row, column = bench.lattice.pitch_px, *np.indices((count, count))
+    of_pitch = {
+        "one lenslet": np.where((row == count // 2) & (column == count // 2), 0.45, 0.0),
+        "a step": np.where(column < count // 2, -0.3, 0.3),
+        "turbulence": rng.normal(0, 0.1, (count, count)),
+        "astigmatism": (column - (count - 1) / 2) / (count - 1) * 0.96,
+    }[case]
+    moved_px = pitch_px * np.stack(
+        [of_pitch, rng.permuted(of_pitch) if case == "turbulence" else 0 * of_pitch], axis=-1
+    )
+    found = registered(
+        subimages(bench, bench.image(sigma_px=1.2, light=1e4)), bench.image(moved_px, sigma_px=1.2, light=1e4)
+    )
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < 0.01
+
+
 def test_spots_of_others_and_noise_are_lost() -> None:
     """In the cells of missing spots, as near the edge of a star's light on a larger reference."""
     bench, rng = SpotBench(16, 16), np.random.default_rng(5)
