@@ -223,9 +223,10 @@ class Centroids:
             return self._spots.position_px + moved_px
         trends, weight = self._trends[likely], np.ones((np.count_nonzero(likely), 1))
         for _ in range(_REWEIGHTINGS):  # towards the least sum of distances
-            trend_px = self._trends @ np.linalg.lstsq(trends * weight, moved_px[likely] * weight, rcond=None)[0]
+            weighted = (trends * weight).T  # normal equations are much faster than least squares, and good enough
+            trend_px = self._trends @ np.linalg.lstsq(weighted @ trends, weighted @ moved_px[likely], rcond=None)[0]
             away_px = np.hypot(*(moved_px - trend_px).T)
-            weight = np.sqrt(1 / np.maximum(away_px[likely, None], self.sigma_px))
+            weight = 1 / np.maximum(away_px[likely, None], self.sigma_px)
         likely = likely & (away_px < self._reference.side_px / 2)
         rest_px = np.full((len(likely) + 1, 2), np.nan)
         rest_px[:-1][likely] = (moved_px - trend_px)[likely]
