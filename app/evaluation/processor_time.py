@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Callable
 from contextlib import suppress
 
 import psutil
@@ -21,20 +21,12 @@ _PROCESSES = {  # by a part of the command line
 
 def processor_times() -> dict[str, float]:
     """Return the processor time by process so far, s."""
-    taken_s: defaultdict[str, float] = defaultdict(float)
-    for process, name in _processes():
-        with suppress(psutil.Error):  # it has just ended
-            taken_s[name] += sum(process.cpu_times()[:2])
-    return dict(taken_s)
+    return _by_process(lambda process: sum(process.cpu_times()[:2]))
 
 
 def memory_mb() -> dict[str, float]:
     """Return the memory by process, MB of 2**20 bytes, what they share in equal parts (PSS); {}: unknown."""
-    found: defaultdict[str, float] = defaultdict(float)
-    for process, name in _processes():
-        with suppress(psutil.Error, AttributeError):  # only Linux reports it
-            found[name] += process.memory_full_info().pss / 2**20
-    return dict(found)
+    return _by_process(lambda process: process.memory_full_info().pss / 2**20)
 
 
 def total_s() -> float | None:
@@ -42,11 +34,13 @@ def total_s() -> float | None:
     return None if sys.platform == "win32" else sum(os.times()[:4])
 
 
-def _processes() -> Iterator[tuple[psutil.Process, str]]:
-    """Yield this process and its descendants, with their names."""
-    this = psutil.Process()
-    yield this, WINDOW
-    for process in this.children(recursive=True):
-        with suppress(psutil.Error):
+def _by_process(measure: Callable[[psutil.Process], float]) -> dict[str, float]:
+    """Measure this process and its descendants, and add those of one name."""
+    this, found = psutil.Process(), defaultdict[str, float](float)
+    for process in (this, *this.children(recursive=True)):
+        with suppress(psutil.Error, AttributeError):  # it has just ended; only Linux reports the memory
             command = " ".join(process.cmdline())
-            yield process, next((name for part, name in _PROCESSES.items() if part in command), "other")
+            name = next((name for part, name in _PROCESSES.items() if part in command), "other")
+            amount = measure(process)  # an unknown one leaves no entry
+            found[WINDOW if process == this else name] += amount
+    return dict(found)
