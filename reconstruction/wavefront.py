@@ -95,9 +95,9 @@ class Wavefront:
 
     def __repr__(self) -> str:
         valid, (rows, columns, *lenslets) = self.displacement.valid, self.views.shape
-        known_rad = rms(self.views)[np.isfinite(rms(self.views))]
+        mean_rad = mean_rms(self.views)
         size = f"{rows} x {columns} views of {lenslets[0]} x {lenslets[1]} lenslets"
-        mean = f"mean RMS {known_rad.mean():.3f} rad" if known_rad.size else "unknown"
+        mean = "unknown" if np.isnan(mean_rad) else f"mean RMS {mean_rad:.3f} rad"
         layers = f"{len(self.sample.ratios)} assumed" if self.sample.ratios else "any wavefront"
         return f"<Wavefront: {size}, {np.count_nonzero(valid)} valid; {mean}; layers: {layers}>"
 
@@ -107,19 +107,17 @@ class Wavefront:
 
 def without_piston(phase: Floats) -> Floats:
     """Subtract the mean of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN."""
-    return phase - _mean(phase)[..., None, None]
+    return phase - mean_known(phase)[..., None, None]
 
 
 def rms(phase: Floats) -> Floats:
     """RMS about the mean of each wavefront (..., lenslet_row, lenslet_column), ignoring NaN: (...)."""
-    return np.sqrt(_mean(without_piston(phase) ** 2))
+    return np.sqrt(mean_known(without_piston(phase) ** 2))
 
 
 def mean_rms(views: Floats) -> float:
     """Mean RMS, rad, of known views (view_row, view_column, lenslet_row, lenslet_column); else NaN."""
-    each = rms(views)
-    known = np.isfinite(each)
-    return float(np.mean(each[known])) if known.any() else np.nan
+    return float(mean_known(rms(views), axis=None))
 
 
 def peak_to_valley(phase: Floats) -> Floats:
@@ -129,10 +127,11 @@ def peak_to_valley(phase: Floats) -> Floats:
     return np.where(highest >= lowest, highest - lowest, np.nan)
 
 
-def _mean(values: Floats) -> Floats:
+def mean_known(values: Floats, axis: tuple[int, ...] | None = (-2, -1)) -> Floats:
+    """Mean over axes, by default over the lenslets, ignoring NaN; NaN where all are."""
     known = ~np.isnan(values)
     with np.errstate(invalid="ignore"):
-        return np.asarray(np.sum(values, axis=(-2, -1), where=known) / np.count_nonzero(known, axis=(-2, -1)))
+        return np.asarray(np.sum(values, axis=axis, where=known) / np.count_nonzero(known, axis=axis))
 
 
 def _at_views(field: Field, displacement: Displacement, evaluate: Callable[[Floats], Floats]) -> Floats:

@@ -7,7 +7,7 @@ import numpy as np
 
 from app.measurement.measurement import Measurement
 from reconstruction.arrays import Floats
-from reconstruction.wavefront import Wavefront, rms
+from reconstruction.wavefront import Wavefront, mean_rms
 
 RMS, FILL, DELAY, TEMPERATURE = "RMS", "Exposure", "Delay", "Temperature"
 UNITS = {FILL: "% of full scale", DELAY: "ms", TEMPERATURE: "\N{DEGREE SIGN}C"}  # the others are phases, rad
@@ -101,8 +101,6 @@ def sample(
         values[FILL] = 100 * float(measurement.frame.pixels.max()) / full_scale
     if temperature_c is not None:
         values[TEMPERATURE] = temperature_c
-    if shown is not None:
-        of_views = rms(shown.views)
-        if np.isfinite(of_views).any():
-            values[RMS] = float(np.nanmean(of_views))
+    if shown is not None and np.isfinite(mean_rad := mean_rms(shown.views)):
+        values[RMS] = mean_rad
     return measurement.frame.host_time_s, values

@@ -25,7 +25,7 @@ from app.results.replay import are_alike
 from app.results.run_summary import QualityTally
 from reconstruction.arrays import Floats
 from reconstruction.displacement import LensletStatus
-from reconstruction.wavefront import Wavefront, mean_rms
+from reconstruction.wavefront import Wavefront, mean_known, mean_rms
 
 _SAMPLED_FRAMES = 200  # evenly spaced frames that are reconstructed again
 
@@ -126,7 +126,7 @@ def _statistics(frames: Iterable[Measurement], early: int) -> Statistics | None:
         outcomes = outcomes + (wavefront.displacement.outcome == np.array(LensletStatus)[:, None, None])
         indices.append(frame.index)
         rms_rad.append(mean_rms(views))
-        rms_sigma_rad.append(float(np.sqrt(np.nanmean(variance))) if np.isfinite(variance).any() else np.nan)
+        rms_sigma_rad.append(float(np.sqrt(mean_known(variance, axis=None))))
         refined += frame.assumed.refinement.bias is not None
         quality.take(frame.quality)
     if middle is None:

@@ -18,7 +18,7 @@ from app.results.result_file import write_pieces
 from reconstruction.arrays import Floats
 from reconstruction.quality.verdict import Fault, Quality
 from reconstruction.registration.circulation import Circulation
-from reconstruction.wavefront import Wavefront, mean_rms, rms
+from reconstruction.wavefront import Wavefront, mean_known, mean_rms, rms
 
 _RESULTS, _DARK, _REFERENCE = MEASURED
 _WEAK_RAD = 0.1  # RMS from which on noise is not looked at: it takes some milliseconds
@@ -65,11 +65,7 @@ def rotation_sentence(found: Circulation) -> str:
 
 def rms_over_lenslets(sigma: Floats) -> Floats:
     """RMS of values (view_row, view_column, lenslet_row, lenslet_column) over the lenslets; NaN where all are NaN."""
-    variance = sigma**2
-    known = np.isfinite(variance)
-    with np.errstate(invalid="ignore"):
-        mean = np.sum(variance, axis=(2, 3), where=known) / np.count_nonzero(known, axis=(2, 3))
-    return np.asarray(np.sqrt(mean))
+    return np.sqrt(mean_known(sigma**2))
 
 
 def noise_above_rms(wavefront: Wavefront) -> float | None:

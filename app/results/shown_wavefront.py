@@ -16,7 +16,7 @@ from reconstruction.geometry import Field, Sensor
 from reconstruction.modes.field_modes import FieldModes
 from reconstruction.modes.polynomials import zernike_names
 from reconstruction.pupil import Pupil
-from reconstruction.wavefront import Wavefront, without_piston, without_zernikes
+from reconstruction.wavefront import Wavefront, mean_known, without_piston, without_zernikes
 
 MOST_AVERAGED = 100
 MOST_VIEWS = 9  # along each side
@@ -144,9 +144,7 @@ class WavefrontDisplay:
             self._recent.append(by_mode)
         while len(self._recent) > self.options.averaged:
             self._recent.popleft()
-        known = np.isfinite(self._recent)
-        with np.errstate(invalid="ignore"):  # NaN where no frame knows a lenslet
-            return np.asarray(np.sum(self._recent, axis=0, where=known) / np.sum(known, axis=0))
+        return mean_known(np.array(self._recent), axis=(0,))
 
 
 def with_views(field: Field, count: int) -> Field:

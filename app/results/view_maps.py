@@ -22,7 +22,7 @@ from reconstruction.quality.image_quality import psf, psf_angles_rad, psf_reach_
 from reconstruction.quality.slope_residual import slope_residual
 from reconstruction.registration.subimages import ReferenceSubimages
 from reconstruction.settings import ReconstructionSettings
-from reconstruction.wavefront import Wavefront, mean_rms, peak_to_valley, rms
+from reconstruction.wavefront import Wavefront, mean_known, mean_rms, peak_to_valley, rms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,21 +142,15 @@ def view_numbers(quantity: Quantity, maps: Floats, single: Wavefront | None = No
     if quantity is Quantity.PSF:
         middle = maps[..., maps.shape[2] // 2, maps.shape[3] // 2]
         return ViewNumbers(quantity, middle, maps.max(axis=(2, 3)), math.nan)
-    known = np.isfinite(maps)
     if quantity is Quantity.UNCERTAINTY:
-        means = [_mean(maps[view][known[view]]) for view in np.ndindex(maps.shape[:2])]
-        most = np.max(maps, axis=(2, 3), initial=-np.inf, where=known)
-        return ViewNumbers(quantity, np.reshape(means, maps.shape[:2]), most, _mean(maps[known]))
+        most = np.max(maps, axis=(2, 3), initial=-np.inf, where=np.isfinite(maps))
+        return ViewNumbers(quantity, mean_known(maps), most, float(mean_known(maps, axis=None)))
     found = ViewNumbers(quantity, rms(maps), peak_to_valley(maps), mean_rms(maps))
     if single is None:
         return found
     sigma_rad = single.sigma()
     noise_rad, error_rad = noise_above_rms(single), rms_over_lenslets(sigma_rad)
     return replace(found, noise_rad=noise_rad, sigma_rad=sigma_rad, error_rad=error_rad)
-
-
-def _mean(values: Floats) -> float:
-    return float(values.mean()) if values.size else math.nan
 
 
 @dataclass(frozen=True, slots=True, eq=False)
