@@ -191,7 +191,7 @@ def assert_same_wavefronts(found: Wavefront, sent: Wavefront) -> None:
         np.testing.assert_array_equal(one, other)
     assert type(found.solution) is type(sent.solution)
     if isinstance(found.solution, ModalSolution) and isinstance(sent.solution, ModalSolution):
-        for part in ("coefficients", "coefficients_sigma", "known", "misfit", "chi_square", "covariance"):
+        for part in ("coefficients", "coefficients_sigma", "known", "misfit", "chi_square", "root_covariance"):
             np.testing.assert_array_equal(getattr(found.solution, part), getattr(sent.solution, part), part)
         rad, sent_rad = (fit_coefficients(ModalFit.of(each), "zernike", 3).rad for each in (found, sent))
         np.testing.assert_array_equal(rad, sent_rad)
