@@ -10,7 +10,7 @@ import numpy as np
 from drivers.camera import CLOSING, INTERNAL, NO_FRAME, STOPPED, Frame, SettingsInForce
 from drivers.dcam._library import BufferFrame, TransferInfo, WaitOpen, WaitStart, sized
 from drivers.dcam._properties import PRODUCER_NONE, Id, Properties
-from drivers.errors import DeviceTimeout, FrameLost, WrongState
+from drivers.errors import DeviceError, DeviceTimeout, FrameLost, WrongState
 
 _SLICE_S = 0.1  # longest wait in the library; after that much silence the camera's status is polled
 _SEQUENCE = -1
@@ -42,7 +42,7 @@ class Capture:
         self._lost = 0  # before transfer
         self._last: tuple[int, int] | None = None  # library's and camera's number of the last frame
         self._is_loss_reported = False
-        self.is_aborted = False  # then `read` in another thread raises `WrongState`, and only `end` may follow
+        self._is_aborted = False
         self._has_stamps = self._properties.get_or(Id.FRAMESTAMP_PRODUCER, PRODUCER_NONE) != PRODUCER_NONE
         self._seen_alive_s = clock()
         self._wait_handle = 0
@@ -70,6 +70,12 @@ class Capture:
             self._to_undo[-1]()
             self._to_undo.pop()
 
+    def abort(self) -> None:
+        """Make `read` in another thread raise `WrongState` at once; only `end` may follow."""
+        self._is_aborted = True
+        with suppress(DeviceError):  # then `read` finishes its slice
+            self._library.call("dcamwait_abort", self._wait_handle)
+
     def change(self, exposure_s: float, em_gain: float) -> None:
         """Record changed settings; they hold from the frame after the one being exposed, if any."""
         first = self._transferred().nFrameCount + self._lost + self._is_exposing
@@ -78,7 +84,7 @@ class Capture:
     def read(self, timeout_s: float) -> Frame:
         """Return the oldest unread frame; `WrongState` if the capture has stopped or was aborted: `end` must follow."""
         deadline_s = self._clock() + timeout_s
-        while not self.is_aborted:
+        while not self._is_aborted:
             frame = self._oldest()
             if frame is not None:
                 return frame
@@ -100,12 +106,13 @@ class Capture:
             self._is_loss_reported = True
         else:
             if request.eventhappened & _STOPPED:
-                self._seen_alive_s = -math.inf  # look at once
-                self._check_alive()
+                self._check_alive(at_once=True)
 
-    def _check_alive(self) -> None:
+    def _check_alive(self, *, at_once: bool = False) -> None:
         """Raise if a camera, silent for a slice, is gone or has stopped."""
         now_s = self._clock()
+        if at_once:
+            self._seen_alive_s = -math.inf
         if now_s - self._seen_alive_s < 0.9 * _SLICE_S:
             return
         self._properties.check_online()

@@ -170,6 +170,7 @@ PROTOTYPES: dict[str, tuple[type, ...]] = {
     "dcamwait_open": (POINTER(WaitOpen),),
     "dcamwait_close": (_HANDLE,),
     "dcamwait_start": (_HANDLE, POINTER(WaitStart)),
+    "dcamwait_abort": (_HANDLE,),
 }
 
 

@@ -129,7 +129,7 @@ class DcamCamera(Camera):
     def _close(self) -> None:
         capture = self._capture  # a reader in another thread may end it meanwhile
         if capture is not None:
-            capture.is_aborted = True
+            capture.abort()
         with self._lock:  # after that reader
             self._try(self._stop)
             self._try(self._release_ring)

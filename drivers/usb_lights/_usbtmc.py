@@ -1,7 +1,7 @@
 """USB Test and Measurement Class (USBTMC 1.0, USB-IF 2003): text messages, over pyusb.
 
 Each transfer has a header of 12 bytes: type, a tag that the answer repeats, length, end of message. After a timeout the
-buffers are cleared, which ends all transfers: otherwise a late answer would be taken for that of the next query.
+transfer is aborted and the buffers are cleared: otherwise a late answer would be taken for that of the next query.
 """
 
 import errno
@@ -24,14 +24,15 @@ _CLASS, _SUBCLASS = 0xFE, 0x03
 _OUT, _REQUEST_IN, _IN = 1, 2, 2  # transfer types: message, request for one, answer
 _END_OF_MESSAGE = 1
 _HEADER = struct.Struct("<BBBxLB3x")
+_ABORT_OUT, _ABORT_IN, _CHECK_ABORT = 1, 3, 1  # the check of each has the next number
 _CLEAR, _CHECK_CLEAR, _CAPABILITIES = 5, 6, 7
 _REMOTE, _LOCAL = 160, 161  # REN_CONTROL and GO_TO_LOCAL of the subclass USB488, which come together
 _OPENINGS = 3  # some instruments miss the first
-_OF_INTERFACE = 0xA1  # type of class requests
-_SUCCESS = 0x01
+_INTERFACE, _ENDPOINT = 0xA1, 0xA2  # recipients of class requests
+_SUCCESS, _PENDING = 0x01, 0x02
 _GONE = {errno.ENODEV, errno.ENXIO, errno.ENOENT, errno.EIO, errno.EPROTO, errno.ESHUTDOWN}
 _TIMEOUT_MS, _CONTROL_MS, _EMPTY_MS = 3000, 500, 50
-_POLLS, _POLL_S = 20, 0.02  # of a pending clear
+_POLLS, _POLL_S = 20, 0.02  # of a pending abort or clear
 _LARGEST = 4096 - _HEADER.size  # bytes of data in a transfer
 _LONGEST_ANSWER = 1 << 20
 UDEV_FILE = "/etc/udev/rules.d/70-svwfs.rules"
@@ -106,7 +107,7 @@ class Usbtmc:
     def write(self, message: str) -> None:
         """Send one message."""
         data = message.encode("ascii")
-        with self._recovered():
+        with self._recovered(_ABORT_OUT):
             for start in range(0, len(data), _LARGEST):
                 part = data[start : start + _LARGEST]
                 attributes = _END_OF_MESSAGE if start + _LARGEST >= len(data) else 0
@@ -115,7 +116,7 @@ class Usbtmc:
     def read(self) -> str:
         """Return one message, of one or more transfers."""
         message, is_complete = b"", False
-        with self._recovered():
+        with self._recovered(_ABORT_IN):
             while not is_complete:
                 data, is_complete = self._read_transfer()
                 message += data
@@ -210,13 +211,37 @@ class Usbtmc:
             return bytes(self._device.read(self._in, self._packet_size, timeout_ms))
 
     @contextmanager
-    def _recovered(self) -> Iterator[None]:
-        """After a failed transfer, end it by clearing all buffers, so that the next query works."""
+    def _recovered(self, abort: int) -> Iterator[None]:
+        """After a failed transfer, abort it and clear all buffers, so that the next query works."""
         try:
             yield
-        except DeviceError:
-            attempt(self.clear)  # the original error says more than another one
+        except Disconnected:
             raise
+        except DeviceError:
+            attempt(self._recover, abort)  # the original error says more than another one
+            raise
+
+    def _recover(self, abort: int) -> None:
+        with suppress(DeviceTimeout):  # clearing includes what an abort does
+            self._abort(abort)
+        self.clear()
+
+    def _abort(self, request: int) -> None:
+        endpoint, is_in = (self._in, True) if request == _ABORT_IN else (self._out, False)
+        if self._control(request, self._tag, 2, endpoint)[0] == _SUCCESS:
+            if is_in:
+                self._drain()
+            for _ in range(_POLLS):
+                answer = self._control(request + _CHECK_ABORT, 0, 8, endpoint)
+                if answer[0] != _PENDING:
+                    break
+                if is_in and answer[1] & 1:
+                    self._drain()
+                else:
+                    self._sleep(_POLL_S)
+        if not is_in:
+            with _faults(self._what):
+                self._device.clear_halt(endpoint)
 
     def _drain(self) -> None:
         """Read up to a short packet, which ends a transfer."""
@@ -230,10 +255,10 @@ class Usbtmc:
             raise DeviceError(f"{self._what} does not {what}; switch it off and on")
         return answer
 
-    def _control(self, request: int, value: int, length: int) -> bytes:
+    def _control(self, request: int, value: int, length: int, endpoint: int | None = None) -> bytes:
+        kind, index = (_INTERFACE, self._interface) if endpoint is None else (_ENDPOINT, endpoint)
         with _faults(self._what):
-            sent = self._device.ctrl_transfer(_OF_INTERFACE, request, value, self._interface, length, _CONTROL_MS)
-            answer = bytes(sent)
+            answer = bytes(self._device.ctrl_transfer(kind, request, value, index, length, _CONTROL_MS))
         if len(answer) < length:
             raise DeviceError(f"{self._what} answered a request of the USB class with {len(answer)} of {length} bytes")
         return answer

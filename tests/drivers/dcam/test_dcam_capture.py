@@ -275,7 +275,10 @@ def test_stop_interrupts_long_exposure(long_exposure: DcamCamera) -> None:
     assert duration_s(wait_and_stop) < 2.0  # about 0.1 on a quiet machine
 
 
-def test_close_ends_read_of_another_thread(long_exposure: DcamCamera) -> None:
+@pytest.mark.parametrize("is_abort_refused", [False, True])
+def test_close_ends_read_of_another_thread(
+    in_real_time: StandIn, long_exposure: DcamCamera, *, is_abort_refused: bool
+) -> None:
     ended: list[BaseException] = []
 
     def wait() -> None:
@@ -284,6 +287,8 @@ def test_close_ends_read_of_another_thread(long_exposure: DcamCamera) -> None:
         except DeviceError as error:
             ended.append(error)
 
+    if is_abort_refused:
+        in_real_time.fail("dcamwait_abort", 0x80000203)
     reader = threading.Thread(target=wait)
     reader.start()
     time.sleep(0.05)
@@ -292,3 +297,4 @@ def test_close_ends_read_of_another_thread(long_exposure: DcamCamera) -> None:
     assert not reader.is_alive()
     assert isinstance(ended[0], WrongState)
     assert took_s < 2.0
+    assert in_real_time.calls("dcamwait_abort") == 1

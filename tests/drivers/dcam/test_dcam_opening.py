@@ -94,7 +94,9 @@ def test_close_releases_everything_and_camera_reopens(stand_in: StandIn) -> None
         assert stand_in.calls(begin) == stand_in.calls(end) == 3
 
 
-@pytest.mark.parametrize("function", ["dcamcap_stop", "dcambuf_release", "dcamwait_close", "dcamdev_close"])
+@pytest.mark.parametrize(
+    "function", ["dcamwait_abort", "dcamcap_stop", "dcambuf_release", "dcamwait_close", "dcamdev_close"]
+)
 def test_failing_close_step_does_not_stop_the_others(stand_in: StandIn, function: str) -> None:
     camera = open_camera(stand_in)
     camera.start()

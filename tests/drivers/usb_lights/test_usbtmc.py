@@ -12,7 +12,7 @@ import usb.backend.libusb0
 import usb.backend.libusb1
 import usb.backend.openusb
 from support.stand_ins.usbtmc import UsbFault, UsbFaultKind, UsbtmcWire
-from usb_stand_in import Bus, Plug
+from usb_stand_in import IN, Bus, Plug
 
 from drivers.errors import Busy, DeviceError, DeviceTimeout, Disconnected, Unsupported
 from drivers.usb_lights import _usbtmc as usbtmc
@@ -155,24 +155,24 @@ def test_next_query_works_after_fault(kind: UsbFaultKind, after: int, wire: Echo
     assert not wire.faults
 
 
-def test_timeout_clears_and_drains(wire: Echo, clock: ManualClock) -> None:
+def test_timeout_aborts_drains_and_clears(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     wire.faults.append(UsbFault("silence"))
     del wire.requests[:]
     with pytest.raises(DeviceTimeout):
         echo.query("A?")
-    assert wire.requests == [(5, 0, 0), (6, 0, 0), (6, 0, 0)]
+    assert wire.requests == [(3, 2, IN), (4, 0, IN), (5, 0, 0), (6, 0, 0), (6, 0, 0)]
     assert clock.now() == pytest.approx(3.0, abs=0.01)
 
 
-def test_refused_message_is_cleared(wire: Echo, clock: ManualClock) -> None:
+def test_refused_message_is_aborted(wire: Echo, clock: ManualClock) -> None:
     echo = connect(wire, clock)
     echo.query("A?")
     wire.faults.append(UsbFault("deaf"))
     del wire.requests[:]
     with pytest.raises(DeviceTimeout):
         echo.write("B")
-    assert wire.requests[:2] == [(5, 0, 0), (6, 0, 0)]
+    assert wire.requests[:2] == [(1, 3, 1), (5, 0, 0)]  # not begun yet
     echo.write("C")
     assert wire.messages == ["A?", "C"]
 

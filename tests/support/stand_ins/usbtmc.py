@@ -1,7 +1,7 @@
 """Stand-in for a USB Test and Measurement Class instrument, transfer by transfer, with faults.
 
 Follows USBTMC 1.0 and IEEE 488.2: it keeps the tags, refuses malformed transfers, is confused by a transfer given up
-without a clear, and drops an unread answer.
+without an abort, and drops an unread answer.
 """
 
 import struct
@@ -15,7 +15,7 @@ UsbFaultKind = Literal["silence", "late", "half", "wrong tag", "garbage", "deaf"
 
 _HEADER = struct.Struct("<BBBBLB3s")
 _PACKET = 64  # bytes; full speed
-_SUCCESS, _PENDING = 0x01, 0x02
+_SUCCESS, _PENDING, _FAILED, _NOT_IN_PROGRESS = 0x01, 0x02, 0x80, 0x81
 
 
 class NoAnswerError(Exception):
@@ -55,7 +55,7 @@ class UsbtmcWire(ABC):
         self._request: tuple[int, int] | None = None  # awaited tag and size
         self._is_confused = False
         self._packets: deque[bytes] = deque()
-        self._is_clearing = False
+        self._is_aborting = self._is_clearing = False
         self._is_out_halted = False
         self._out_tag = 0
         self.faults: deque[UsbFault] = deque()
@@ -126,6 +126,10 @@ class UsbtmcWire(ABC):
             (0xA1, 6): self._check_clear,
             (0xA1, 160): self._set_remote,
             (0xA1, 161): self._go_to_local,
+            (0xA2, 3): self._abort_in,
+            (0xA2, 4): self._check_abort_in,
+            (0xA2, 1): self._abort_out,
+            (0xA2, 2): lambda _: bytes([_SUCCESS]),
         }
         if (kind, request) not in steps:
             raise StalledError
@@ -174,9 +178,30 @@ class UsbtmcWire(ABC):
         self._is_clearing = False
         return bytes([_SUCCESS, 0])
 
+    def _abort_in(self, tag: int) -> bytes:
+        if self._request is None or self._request[0] != tag:
+            return bytes([_NOT_IN_PROGRESS if self._request is None else _FAILED, self._out_tag])
+        self._request, self._is_confused, self._is_aborting = None, False, True
+        self._packets.append(b"\xbb" * 7)  # in transit
+        return bytes([_SUCCESS, tag])
+
+    def _check_abort_in(self, _value: int) -> bytes:
+        if not self._is_aborting:
+            raise StalledError
+        if self._packets:
+            return bytes([_PENDING, 1])
+        self._is_aborting = False
+        return bytes([_SUCCESS])
+
+    def _abort_out(self, tag: int) -> bytes:
+        is_in_progress = tag == self._out_tag or bool(self._message)
+        self._message.clear()
+        self._is_out_halted = True
+        return bytes([_SUCCESS if is_in_progress else _NOT_IN_PROGRESS, tag])
+
     def _reset_in(self) -> None:
         self._answer, self._later, self._request, self._out_tag = b"", None, None, 0
-        self._is_answer_begun = self._is_confused = False
+        self._is_answer_begun = self._is_confused = self._is_aborting = False
         self._packets.clear()
 
     def _run_message(self) -> None:

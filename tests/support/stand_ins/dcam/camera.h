@@ -17,6 +17,7 @@ typedef struct {
 
 struct Wait {
     HDCAM camera; /* NULL when closed */
+    bool is_waiting, is_aborted;
 };
 
 struct Camera {
@@ -39,7 +40,7 @@ typedef enum { PLUGGED, UNPLUGGED, UNPLUGGED_SILENTLY, UNPLUGGED_HALFWAY } Plug;
     do(dcamprop_getvalue) do(dcamprop_setgetvalue) do(dcamprop_queryvalue) do(dcamprop_getnextid) do(dcamprop_getname) \
     do(dcamprop_getvaluetext) do(dcambuf_alloc) do(dcambuf_release) do(dcambuf_copyframe) do(dcamcap_start)            \
     do(dcamcap_stop) do(dcamcap_status) do(dcamcap_transferinfo) do(dcamwait_open)             \
-    do(dcamwait_close) do(dcamwait_start)
+    do(dcamwait_close) do(dcamwait_start) do(dcamwait_abort)
 #define ENUMERATED(name) F_##name,
 typedef enum { EACH_FUNCTION(ENUMERATED) FUNCTIONS } Function;
 

@@ -160,5 +160,6 @@ DCAM_EXPORT int32_t dcamcap_transferinfo(HDCAM h, DCAMCAP_TRANSFERINFO *param);
 DCAM_EXPORT int32_t dcamwait_open(DCAMWAIT_OPEN *param);
 DCAM_EXPORT int32_t dcamwait_close(HDCAMWAIT hwait);
 DCAM_EXPORT int32_t dcamwait_start(HDCAMWAIT hwait, DCAMWAIT_START *param);
+DCAM_EXPORT int32_t dcamwait_abort(HDCAMWAIT hwait);
 
 #endif

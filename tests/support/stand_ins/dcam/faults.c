@@ -44,7 +44,7 @@ int32_t enter_camera(Function function, HDCAM camera) {
     for (int i = 0; i < CAMERAS; i++) is_known |= camera == &world.cameras[i];
     if (!is_known || !camera->is_open) return INVALIDHANDLE;
     if (function == F_dcamdev_close || function == F_dcambuf_release) return SUCCESS;
-    if (world.plug == UNPLUGGED) return NOCONNECTION;
+    if (world.plug == UNPLUGGED && function != F_dcamwait_abort) return NOCONNECTION;
     if (world.plug == UNPLUGGED_HALFWAY && writes(function)) return FAILWRITECAMERA;
     if (world.plug == UNPLUGGED_HALFWAY && function == F_dcamprop_getvalue) return FAILREADCAMERA;
     return code;

@@ -29,10 +29,19 @@ int32_t dcamwait_close(HDCAMWAIT hwait) {
     return leave(code);
 }
 
+int32_t dcamwait_abort(HDCAMWAIT hwait) {
+    int32_t code = enter_wait(F_dcamwait_abort, hwait);
+    if (code > 0 && hwait->is_waiting) { /* no effect without a waiting call */
+        hwait->is_aborted = true;
+        pthread_cond_broadcast(&world.changed);
+    }
+    return leave(code);
+}
+
 /* Result that ends the wait now, or 0. */
 static int32_t event(HDCAMWAIT hwait, int32_t before, int32_t mask, int32_t *happened) {
     struct Camera *camera = hwait->camera;
-    if (!camera) return ABORT;
+    if (!camera || hwait->is_aborted) return ABORT;
     if (world.plug == UNPLUGGED) return NOCONNECTION;
     if (camera->is_loss_untold) {
         camera->is_loss_untold = false;
@@ -52,10 +61,12 @@ int32_t dcamwait_start(HDCAMWAIT hwait, DCAMWAIT_START *param) {
     bool is_endless = (uint32_t)param->timeout == 0x80000000u;
     double limit_s = is_endless ? INFINITY : patience_s() + 1e-3 * param->timeout;
     int32_t before = camera->transferred;
+    hwait->is_waiting = true;
     while (!(code = event(hwait, before, param->eventmask, &param->eventhappened)) && patience_s() < limit_s) {
         bool is_exposing = camera->is_capturing && !world.is_stalled && world.plug == PLUGGED;
         pass_time(fmin(is_exposing ? camera->exposure_end_s : INFINITY, world.unplug_at_s), limit_s);
         follow_time();
     }
+    hwait->is_waiting = hwait->is_aborted = false;
     return leave(code ? code : TIMEOUT);
 }
