@@ -24,7 +24,7 @@ _FITS_SUFFIXES = {".fits", ".fit", ".fts", ".fz", ".gz"}
 SUFFIXES = frozenset({".tif", ".tiff", ".npy", ".npz", ".h5", ".hdf5", ".mat", ".png", ".bmp", ".pgm"} | _FITS_SUFFIXES)
 MOST_COUNTS = 1e12  # of a pixel; beyond, single precision overflows soon
 _ORIENTATION, _WHITE_IS_ZERO = 274, 0  # of TIFF: a tag, and a photometric interpretation
-_FITS, _PICTURES = b"SIMPLE  =", (b"\x89PNG", b"BM", b"P5")
+_FITS, _PICTURES = b"SIMPLE  =", (b"\x89PNG", b"BM", b"P2", b"P5")
 _GZIP = b"\x1f\x8b"
 _INDEX = re.compile(r"\[(-?\d{1,9})\]$")
 _TIFF = b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"  # of either order of bytes; the last two of BigTIFF

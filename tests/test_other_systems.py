@@ -19,7 +19,6 @@ PATHS_OF_ONE_SYSTEM = {
     "app/acquisition/streams/ring.py": {"/proc/"},
     "app/commands/display.py": {"/tmp/.X11-unix/X"},  # noqa: S108 - asked on Linux only
     "app/run_facts.py": {"/proc/cpuinfo"},
-    "reconstruction/runtime/threads.py": {"/proc/self/task/"},
     "drivers/genicam/_library.py": {"/opt/homebrew/lib/libaravis-0.8.dylib", "/usr/local/lib/libaravis-0.8.dylib"},
     "drivers/usb_lights/_usbtmc.py": {"/etc/udev/rules.d/70-svwfs.rules"},
 }

@@ -279,8 +279,9 @@ class _Grid:
 
 
 def _extent(lit: Booleans) -> tuple[slice, slice]:
-    """Rows and columns of the largest connected patch of lit cells."""
-    patches, count = ndimage.label(lit, np.ones((3, 3)))
+    """Rows and columns of the largest patch of lit cells, across shadows of up to two cells."""
+    patches, count = ndimage.label(ndimage.binary_dilation(lit, np.ones((3, 3), np.bool_)))
+    patches *= lit
     sizes = np.bincount(patches.ravel(), minlength=count + 1)[1:]
     rows, columns = ndimage.find_objects(patches)[int(np.argmax(sizes))]
     return rows, columns

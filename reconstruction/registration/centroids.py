@@ -22,7 +22,13 @@ from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.spline import interpolate, noise_power
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
-from reconstruction.registration.subimages import DARK_CONTRAST, LensletModel, ReferenceSubimages, classify_lenslets
+from reconstruction.registration.subimages import (
+    DARK_CONTRAST,
+    LensletModel,
+    ReferenceSubimages,
+    classify_lenslets,
+    typical,
+)
 from reconstruction.runtime.opencv import cv2
 from reconstruction.settings import RegistrationSettings
 
@@ -44,7 +50,8 @@ _EXPECTED = 1 / 3  # of the gap between stars, within which each lies in the ref
 _NEIGHBOURS, _BESIDE = 9, 1.6  # of a lenslet and with it, at most, and how many pitches away
 _BEYOND = 1.5  # of the way from a lenslet to its border, up to which spots are found that their neighbours expect
 _REWEIGHTINGS = 8  # of the displacements, for their trend
-_AS_BRIGHT = 0.5  # of another spot, or of most, as which a spot counts
+_AS_BRIGHT = 0.5  # of most spots, as which one counts that no neighbour expects
+_TORN = 0.75  # of a cell, by which neighbours are displaced apart if one has the spot of another
 _ASTRAY = 0.3  # of a cell, by which a spot may lie off where its neighbours' displacements expect it
 _TINY = np.finfo(np.float32).tiny
 _FITTED = 4  # numbers fitted to a spot: position, gain and offset
@@ -169,6 +176,7 @@ class Centroids:
         range_used = self._range_used(after) * found
         if len(self._nominal_px) == 1:
             range_used = np.where(~astray & (range_used < _BEYOND), np.minimum(range_used, 1), range_used)
+            range_used[self._are_torn(after, found & ~astray)] = _BEYOND
         found &= ~astray | (range_used > 1)
 
         lenslets, stars = len(reference.lit), len(self._nominal_px)
@@ -197,7 +205,7 @@ class Centroids:
         """
         before_px, most_px = self._spots.position_px, _ASTRAY * self._reference.side_px
         likely = spots.is_peak & self._known
-        usual = median(spots.brightness[likely]) if likely.any() else 0.0
+        usual = typical(spots.brightness[likely]) if likely.any() else 0.0
         likely &= spots.brightness > DARK_CONTRAST * usual
         expected_px = self._expected_px(spots.position_px - before_px, likely)
         astray = np.hypot(*(spots.position_px - expected_px).T) > most_px
@@ -206,13 +214,20 @@ class Centroids:
         near_px = self._brightest(image, near_px=expected_px[:, None])
         again = self._find(image, np.where(astray[:, None, None], near_px, spots.position_px[:, None]))
         is_there = again.is_peak & (np.hypot(*(again.position_px - expected_px).T) <= most_px)
-        is_there &= again.brightness > _AS_BRIGHT * spots.brightness
+        is_there &= again.brightness > DARK_CONTRAST * usual
         pairs = zip(again, spots, strict=True)
         spots = _Spots(*(np.where(is_there.reshape(-1, *(1,) * (one.ndim - 1)), one, two) for one, two in pairs))
         is_bright = spots.is_peak & (spots.brightness > _AS_BRIGHT * usual)
         away_px, _ = scipy.spatial.KDTree(spots.position_px[is_bright | is_there]).query(spots.position_px, 2)
         is_alone = np.asarray(away_px)[:, 1] > most_px
         return spots, ~is_there & ~(is_bright & is_alone & (self._range_used(spots) <= 1))
+
+    def _are_torn(self, spots: _Spots, found: Booleans) -> Booleans:
+        """True for found spots that lie too far from those of a neighbour: one of both is of another lenslet, (L,)."""
+        moved_px = np.full((len(found) + 1, 2), np.nan)
+        moved_px[:-1][found] = (spots.position_px - self._spots.position_px)[found]
+        apart_px = np.hypot(*np.moveaxis(moved_px[:-1, None] - moved_px[self._beside], -1, 0))
+        return np.asarray(np.any(apart_px > _TORN * self._reference.side_px, axis=1))
 
     def _expected_px(self, moved_px: Floats, likely: Booleans) -> Floats:
         """Positions on the camera (L, xy) that the displacements of `likely` neighbours expect, (L, xy).

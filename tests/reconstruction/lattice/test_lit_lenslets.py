@@ -76,6 +76,18 @@ def test_central_obscuration_and_spiders_leave_absent_lenslets() -> None:
     assert near(lit_px(found), centers_px[lit]).max() < 0.1
 
 
+@pytest.mark.parametrize("wide", [1, 2])
+def test_spiders_shadow_does_not_end_the_lattice(wide: int) -> None:
+    """A cross of whole rows and columns: a quarter of the pupil was taken for all of it."""
+    brightness = np.ones((13, 13))
+    brightness[6 : 6 + wide] = brightness[:, 6 : 6 + wide] = 0
+    found = survey(
+        drawn(brightness=brightness), replace(sensor_with(9, 9, 31.25), lenslet_rows=None, lenslet_columns=None)
+    )
+    assert found.illuminated.shape == (13, 13)
+    assert found.illuminated.sum() == brightness.sum()
+
+
 @pytest.mark.parametrize("angle_deg", [0.0, 11.0])
 def test_pitches_that_differ_along_x_and_y_are_found(angle_deg: float) -> None:
     truth_px = square_centers_px(angle_deg=angle_deg, pitch_px=(29.2, 27.8))

@@ -177,6 +177,28 @@ def test_spots_beyond_their_cells_are_found_by_their_neighbours(rotation_rad: fl
     assert found.range_used.max() == 1
 
 
+def test_faint_spots_at_the_rim_are_found_beyond_their_cells() -> None:
+    """Not the brighter ones of their neighbours, which lie in their cells."""
+    bench = SpotBench(margin_px=60)
+    moved_px = defocus_px(bench, 0.6)
+    light = np.full((12, 12), 1e4)
+    light[[0, -1]], light[:, [0, -1]] = 2.5e3, 2.5e3
+    found = registered(
+        subimages(bench, bench.image(sigma_px=1.2, light=1e4)), bench.image(moved_px, sigma_px=1.2, light=light)
+    )
+    assert found.valid.all()
+    assert np.abs(errors_px(bench, found, moved_px)).max() < 0.01
+
+
+@pytest.mark.parametrize("farthest", [0.75, 0.8, 1.0])
+def test_neighbours_torn_apart_have_left_their_cells(farthest: float) -> None:
+    """Each spot lies nearer to the next lenslet, again and again: a sawtooth, whose slopes are those of a wavefront."""
+    bench = SpotBench(margin_px=60)
+    reference = subimages(bench, bench.image(sigma_px=1.2, light=1e4))
+    found = registered(reference, bench.image(defocus_px(bench, farthest), sigma_px=1.2, light=1e4))
+    assert np.mean(found.outcome == LensletStatus.LEFT_CELL) > 0.2
+
+
 @pytest.mark.parametrize("case", ["one lenslet", "a step", "turbulence", "astigmatism"])
 @pytest.mark.parametrize("count", [3, 5, 12])
 def test_spots_that_no_neighbour_expects_are_found(case: str, count: int) -> None:
