@@ -15,7 +15,7 @@ from reconstruction.frame.pixels import CLIPPED, TOO_BRIGHT, KnownCamera, clippe
 from reconstruction.frame.spline import interpolate
 from reconstruction.geometry import Lattice, Sensor, centered_steps, lenslet_centers
 from reconstruction.quality.verdict import Fault, Quality
-from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages, nearest, structure, typical
+from reconstruction.registration.subimages import DARK_CONTRAST, ReferenceSubimages, structure, typical
 
 _OFF_LATTICE = 0.05  # of a pitch; on the bench of evidence/accuracy.md it changes a wavefront of 4.2 rad by 0.2 rad
 _DARK = 0.25  # of the typical lenslet's contrast
@@ -115,11 +115,7 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
 
 def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Sensor) -> int:
-    """Number of lenslets lit in another lattice beyond those lit in this one.
-
-    `light` is (row, column), counts. Off by a whole pitch, a lattice fits as well as before, but its last row lies in
-    the dark.
-    """
+    """Number of lenslets lit in another lattice beyond this one's, as if it is a pitch off, by light (row, column)."""
     here, there = (_shown(light, each, sensor) for each in (lattice, shown))
     least = _DARK * np.median(there)
     return int(np.count_nonzero(there > least) - np.count_nonzero(here > least))
@@ -136,7 +132,7 @@ def _shown(light: Image | Floats, lattice: Lattice, sensor: Sensor, samples: int
     steps = centered_steps(samples) / samples
     centers = lenslet_centers(sensor.arrangement, *sensor.lenslets).reshape(-1, 1, 2)
     at = centers + np.stack(np.meshgrid(steps, steps * lattice.row_spacing), axis=-1).reshape(-1, 2)
-    column, row = np.moveaxis(nearest(lattice.camera_px(at)), -1, 0)
+    column, row = np.moveaxis(np.floor(lattice.camera_px(at) + 0.5).astype(np.intp), -1, 0)
     inside = (row >= 0) & (row < light.shape[0]) & (column >= 0) & (column < light.shape[1])
     shown = structure(light[row * inside, column * inside].reshape(-1, samples, samples))
     return np.where(inside.all(axis=1), shown, 0.0)

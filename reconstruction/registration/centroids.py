@@ -22,13 +22,7 @@ from reconstruction.frame.bad_pixels import repaired
 from reconstruction.frame.spline import interpolate, noise_power
 from reconstruction.geometry import Field, centered_steps, require
 from reconstruction.modes.field_modes import FieldModes, LegendreModes, SampledModes
-from reconstruction.registration.subimages import (
-    DARK_CONTRAST,
-    LensletModel,
-    ReferenceSubimages,
-    classify_lenslets,
-    typical,
-)
+from reconstruction.registration.subimages import DARK_CONTRAST, LensletModel, ReferenceSubimages, classify_lenslets
 from reconstruction.runtime.opencv import cv2
 from reconstruction.settings import RegistrationSettings
 
@@ -205,7 +199,7 @@ class Centroids:
         """
         before_px, most_px = self._spots.position_px, _ASTRAY * self._reference.side_px
         likely = spots.is_peak & self._known
-        usual = typical(spots.brightness[likely]) if likely.any() else 0.0
+        usual = median(spots.brightness[likely]) if likely.any() else 0.0
         likely &= spots.brightness > DARK_CONTRAST * usual
         expected_px = self._expected_px(spots.position_px - before_px, likely)
         astray = np.hypot(*(spots.position_px - expected_px).T) > most_px

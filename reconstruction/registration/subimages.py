@@ -180,7 +180,7 @@ class ReferenceSubimages:
     @cached_property
     def _nearest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows and columns of the pixels next to the windows' positions, (L, N)."""
-        column, row = np.moveaxis(nearest(self.position_px), -1, 0)
+        column, row = np.moveaxis(np.floor(self.position_px + 0.5).astype(np.intp), -1, 0)  # rint would repeat some
         return row, column
 
     def near(self, pixels: Booleans) -> Booleans:
@@ -221,11 +221,6 @@ class ReferenceSubimages:
             for below, beside in np.ndindex(2, 2):
                 usable &= ~self.bad[np.minimum(row + below, rows - 1), np.minimum(column + beside, columns - 1)]
         return usable
-
-
-def nearest(position_px: Floats) -> NDArray[np.intp]:
-    """Pixels next to positions (...); halves are rounded up, so that steps of a pixel lead to the next one."""
-    return np.asarray(np.floor(position_px + 0.5), np.intp)
 
 
 def structure(light: NDArray[np.floating[Any]]) -> Floats:
