@@ -1,7 +1,7 @@
 """Averages of frames: the dark and the reference; and the check whether the dark is still good."""
 
 from dataclasses import dataclass
-from typing import Self, cast
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +35,9 @@ class Average:
 
     @classmethod
     def of_image(cls, image: Counts) -> Self:
-        """Copy an image (row, column), counts, of any type; nothing else is known of it."""
-        unknown = np.broadcast_to(np.float32(np.nan), image.shape)
-        return cls(cast("NDArray[np.float32]", image.copy()), unknown, 1, np.nan, np.nan, "")
+        """Copy an image (row, column), counts, as floats: differences of integers wrap. Nothing else is known of it."""
+        counts: NDArray[np.float32] = image.astype(np.result_type(image, np.float32))
+        return cls(counts, np.broadcast_to(np.float32(np.nan), image.shape), 1, np.nan, np.nan, "")
 
 
 def average(camera: Camera, frames: int, callbacks: RoutineCallbacks) -> Average:

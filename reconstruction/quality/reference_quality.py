@@ -115,7 +115,7 @@ def lattice_error_px(lattice: Lattice, other: Lattice, sensor: Sensor) -> float:
 
 
 def lit_elsewhere(light: Floats, lattice: Lattice, shown: Lattice, sensor: Sensor) -> int:
-    """Number of lenslets lit in another lattice beyond this one's, as if it is a pitch off, by light (row, column)."""
+    """Number of lenslets that light (row, column), counts, shows in another lattice beyond those in this one."""
     here, there = (_shown(light, each, sensor) for each in (lattice, shown))
     least = _DARK * np.median(there)
     return int(np.count_nonzero(there > least) - np.count_nonzero(here > least))

@@ -99,6 +99,19 @@ def test_results_file_says_axes_basis_order_and_pupil(
         np.testing.assert_array_equal(np.isfinite(found["wavefront"].values[0, 0]), np.hypot(x, y) <= 1)
 
 
+def test_frame_a_lenslet_off_is_flagged_above_a_dark_of_whole_counts(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    """Differences of unsigned counts wrap, which had hidden the edge of the light."""
+    spots, dark = write_spots(tmp_path), tmp_path / "dark.tif"
+    image = tifffile.imread(spots[0])
+    tifffile.imwrite(spots[0], np.roll(image, (24, -24), (0, 1)))
+    tifffile.imwrite(dark, np.random.default_rng(5).poisson(100, image.shape).astype(np.uint16))
+    reconstruct(monkeypatch, spots, tmp_path / "r.nc", "--dark", dark)
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "the lenslets with light are displaced by (-24, +24) px" in shown
+
+
 @pytest.mark.slow
 def test_hot_pixels_light_no_lenslet_of_the_pupil(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     spots = write_spots(tmp_path)
