@@ -35,7 +35,7 @@ def total_s() -> float | None:
 
 
 def _by_process(measure: Callable[[psutil.Process], float]) -> dict[str, float]:
-    """Measure this process and its descendants, and add those of one name."""
+    """Apply a measurement to this process and its descendants; processes of one name are summed."""
     this, found = psutil.Process(), defaultdict[str, float](float)
     for process in (this, *this.children(recursive=True)):
         with suppress(psutil.Error, AttributeError):  # it has just ended; only Linux reports the memory
